@@ -7,7 +7,7 @@
 )]
 
 use moca_msgs::{Mode, Request};
-use moca_sim::{BoardFault, PtyBoard, SharedForces, VirtualBoardConfig};
+use moca_sim::{BoardFailure, PtyBoard, SharedForces, VirtualBoardConfig};
 use moca_tactile::calibration::CalibrationFile;
 use moca_telemetry::calibration::{CalibrationProgress, CalibrationRequest};
 use moca_telemetry::net::{Address, Connection};
@@ -95,7 +95,7 @@ fn board_and_gauge(name: &str) -> (SharedForces, PtyBoard, PtyBoard) {
     let forces = SharedForces::default();
     let board = virtual_board(&format!("{name}-board"), &forces);
     let gauge = virtual_board(&format!("{name}-gauge"), &SharedForces::default());
-    gauge.set_fault(Some(BoardFault::Silent));
+    gauge.set_fault(Some(BoardFailure::Silent));
     (forces, board, gauge)
 }
 

@@ -8,9 +8,9 @@ use moca_lockstep::simulated_robot::free_scene;
 use moca_lockstep::touch_board::ByteCover;
 use moca_lockstep::{LockStep, MemoryBoards};
 use moca_msgs::params::CONTROLLER;
-use moca_msgs::{Fault, Law, Mode, ParameterValues, Refusal, Request, Sample, TaxelStatus};
+use moca_msgs::{BoardFault, Fault, Law, Mode, ParameterValues, Refusal, Request, Sample, TaxelStatus};
 use moca_sim::VirtualBoardConfig;
-use moca_sim::board::BoardFault;
+use moca_sim::board::BoardFailure;
 use moca_tactile::Firmware;
 
 #[global_allocator]
@@ -129,9 +129,9 @@ fn unplugged_board_stops_until_tare_and_resume() {
         assert!(ticks_to_stop <= 150);
     }
     let stopped = run(&mut world, 500);
-    assert_eq!(stopped.fault, Some(Fault::BoardLost));
+    assert_eq!(stopped.fault, Some(BoardFault::Lost.of(0)));
     assert!(speed(&stopped) < 1e-3, "the base stands");
-    assert_eq!(ask(&mut world, Request::Resume), Err(Refusal::CauseRemains(Fault::BoardLost)));
+    assert_eq!(ask(&mut world, Request::Resume), Err(Refusal::CauseRemains(BoardFault::Lost.of(0))));
 
     ask(&mut world, Request::PressTaxel { taxel: 5, force_n: 0.0 }).unwrap();
     world.feed[0].replug();
@@ -155,9 +155,9 @@ fn every_fault_of_the_stream_stops_the_robot() {
     // What is injected, what may be named first, and the largest number of ticks until the stop: 15 frames of 24.7 ms for
     // frozen data (garbage in the thresholds shows earlier), two frames for a reset, one deadline for silence.
     let cases: [(_, &[Fault], _); 3] = [
-        (BoardFault::I2cLost, &[Fault::BoardFrozen, Fault::BoardThresholds], 15 * 25),
-        (BoardFault::ChipReset, &[Fault::BoardReset, Fault::BoardThresholds], 60),
-        (BoardFault::Silent, &[Fault::BoardSilent], 150),
+        (BoardFailure::I2cLost, &[BoardFault::Frozen.of(0), BoardFault::Thresholds.of(0)], 15 * 25),
+        (BoardFailure::ChipReset, &[BoardFault::Reset.of(0), BoardFault::Thresholds.of(0)], 60),
+        (BoardFailure::Silent, &[BoardFault::Silent.of(0)], 150),
     ];
     for (injected, expected, ticks) in cases {
         let mut world = armed(&config());
@@ -240,7 +240,7 @@ fn the_loop_does_not_allocate_in_any_mode() {
         run(&mut world, 500);
     }
     ask(&mut world, Request::Arm).unwrap();
-    world.feed[0].board().set_fault(Some(BoardFault::I2cLost));
+    world.feed[0].board().set_fault(Some(BoardFailure::I2cLost));
     assert_eq!(count(&mut world, TICKS), 0, "frozen board, protective stop");
     assert_eq!(run(&mut world, 1).mode, Mode::ProtectiveStop);
     world.feed[0].unplug();

@@ -5,7 +5,7 @@ use moca_control::config::{Config, HandConfig};
 use moca_control::robot::{Arm, Parts};
 use moca_lockstep::LockStep;
 use moca_lockstep::simulated_robot::free_scene;
-use moca_msgs::{Fault, Mode, Refusal, Request, Sample};
+use moca_msgs::{BoardFault, Mode, Refusal, Request, Sample};
 use moca_sim::{Scene, VirtualBoardConfig};
 use moca_tests::Limited;
 use std::path::PathBuf;
@@ -41,7 +41,7 @@ fn a_base_alone_gives_way_and_stops_without_its_board() {
     assert!(pressed.base_pose_world[0] < -0.04, "{:?}", pressed.base_pose_world);
     world.feed[0].unplug();
     let stopped = run(&mut |request| world.step(request).0, 500);
-    assert_eq!((stopped.mode, stopped.fault), (Mode::ProtectiveStop, Some(Fault::BoardLost)));
+    assert_eq!((stopped.mode, stopped.fault), (Mode::ProtectiveStop, Some(BoardFault::Lost.of(0))));
     assert!(stopped.base_velocity_world[0].abs() < 1e-3, "{:?}", stopped.base_velocity_world);
 }
 

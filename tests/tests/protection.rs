@@ -230,7 +230,7 @@ fn unconfirmed_touch_stops_base_and_reaches_no_law() {
 fn stale_data_lowers_limit_until_the_stop() {
     let mut world = armed(&config(), &free_scene(&config()), VirtualBoardConfig::default());
     let before = run(&mut world, 200).pop().unwrap().speed_limit.m_s;
-    world.feed[0].board().set_fault(Some(moca_sim::board::BoardFault::Silent));
+    world.feed[0].board().set_fault(Some(moca_sim::board::BoardFailure::Silent));
     let samples = run(&mut world, 150);
     let moving: Vec<&Sample> = samples.iter().filter(|sample| sample.mode.moves()).collect();
     let stale = moving.iter().find(|s| s.speed_limit.reason == SpeedLimitReason::Stale).expect("named");

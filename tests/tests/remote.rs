@@ -10,7 +10,7 @@ use moca_control::config::{Config, HandConfig};
 use moca_lockstep::LockStep;
 use moca_lockstep::simulated_robot::free_scene;
 use moca_msgs::robot::PANDA;
-use moca_msgs::{Fault, Mode, Refusal, Request, Sample, TaxelStatus};
+use moca_msgs::{BoardFault, Fault, Mode, Refusal, Request, Sample, TaxelStatus};
 use moca_sim::{PtyBoard, SharedForces, VirtualBoardConfig};
 use moca_tactile::serial::{PortSelection, SerialBoard};
 use moca_tactile::{Cover, CoverConfig};
@@ -302,7 +302,7 @@ fn a_board_that_is_plugged_in_again_is_found_and_needs_a_tare() {
     wait(&mut cover, "a valid zero and no fault", &|cover, fault| cover.zero_valid() && fault.is_none());
 
     board.unplug();
-    wait(&mut cover, "the port is lost", &|_, fault| fault == Some(Fault::BoardLost));
+    wait(&mut cover, "the port is lost", &|_, fault| fault == Some(BoardFault::Lost.of(0)));
     let link = std::fs::symlink_metadata(&path).map(|metadata| metadata.is_symlink());
     board.replug();
     let before = frames(&cover);

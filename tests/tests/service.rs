@@ -147,7 +147,7 @@ fn a_fault_writes_the_seconds_before_it() {
     assert!(out.contains(path.to_str().unwrap()), "{out}");
     let log = moca_telemetry::log::read_log(path).unwrap();
     let last = log.samples.last().unwrap();
-    assert_eq!((last.fault, log.cut), (Some(moca_msgs::Fault::BoardLost), None));
+    assert_eq!((last.fault, log.cut), (Some(moca_msgs::BoardFault::Lost.of(0)), None));
     assert!(!log.serial.is_empty() && log.samples.iter().any(|sample| sample.mode.moves()));
     std::fs::remove_dir_all(&folder).unwrap();
 }

@@ -7,8 +7,8 @@ use moca_lockstep::simulated_robot::free_scene;
 use moca_lockstep::touch_board::ByteCover;
 use moca_lockstep::virtual_boards::board_config;
 use moca_lockstep::{LockStep, MemoryBoards};
-use moca_msgs::{Fault, Mode, Refusal, Request, Sample, TaxelStatus};
-use moca_sim::BoardFault;
+use moca_msgs::{BoardFault, Fault, Mode, Refusal, Request, Sample, TaxelStatus};
+use moca_sim::BoardFailure;
 use moca_tactile::Firmware;
 use moca_telemetry::log::read_log;
 use moca_tests::Limited;
@@ -71,22 +71,18 @@ fn press_on_either_board_moves_base() {
             run(&mut world, 1500);
         }
 
-        world.feed[1].board().set_fault(Some(BoardFault::Silent));
+        world.feed[1].board().set_fault(Some(BoardFailure::Silent));
         let stopped = run(&mut world, 300);
-        assert_eq!((stopped.mode, stopped.fault), (Mode::ProtectiveStop, Some(Fault::BoardSilent)));
-        assert_eq!(stopped.fault_board, Some(1), "{firmware:?}");
+        let silent = BoardFault::Silent.of(1);
+        assert_eq!((stopped.mode, stopped.fault), (Mode::ProtectiveStop, Some(silent)), "{firmware:?}");
         assert_eq!(statuses(&stopped), [Some(TaxelStatus::Ok), Some(TaxelStatus::Stale)], "{firmware:?}");
-        assert_eq!(world.step(Some(Request::Resume)).1, Some(Err(Refusal::CauseRemains(Fault::BoardSilent))));
+        assert_eq!(world.step(Some(Request::Resume)).1, Some(Err(Refusal::CauseRemains(silent))));
 
         world.feed[1].board().set_fault(None);
         let well = run(&mut world, 300);
-        assert_eq!(
-            (well.fault, well.fault_board),
-            (Some(Fault::BoardSilent), Some(1)),
-            "until somebody resumes"
-        );
+        assert_eq!(well.fault, Some(silent), "until somebody resumes");
         assert_eq!(world.step(Some(Request::Resume)).1, Some(Ok(())));
-        assert_eq!((run(&mut world, 10).fault, run(&mut world, 1).fault_board), (None, None));
+        assert_eq!(run(&mut world, 10).fault, None);
     }
 }
 
@@ -96,7 +92,7 @@ fn unplugging_one_board_voids_the_zero_of_its_taxels_alone() {
     run(&mut world, TARED_TICKS);
     world.feed[0].unplug();
     let lost = run(&mut world, 50);
-    assert_eq!((lost.fault, lost.fault_board), (Some(Fault::BoardLost), Some(0)));
+    assert_eq!(lost.fault, Some(BoardFault::Lost.of(0)));
     world.feed[0].replug();
     let back = run(&mut world, 300);
     assert_eq!(statuses(&back), [Some(TaxelStatus::NoZero), Some(TaxelStatus::Ok)]);
@@ -163,7 +159,7 @@ fn lock_step_with_two_boards_replays_bit_equal() {
         |board| log.serial.iter().filter(|read| read.board == board).map(|read| read.bytes.len()).sum();
     let (first, second): (usize, usize) = (bytes(0), bytes(1));
     assert!(first > 30_000 && second > first * 5 / 4, "the first was silent for a second: {first} {second}");
-    assert!(log.samples.iter().any(|sample| sample.fault_board == Some(0)));
+    assert!(log.samples.iter().any(|sample| sample.fault.and_then(Fault::board) == Some(0)));
 }
 
 #[test]

@@ -40,7 +40,6 @@ impl CoverState {
             },
             forces: Ok([0.0; TAXELS]),
             fault: None,
-            fault_board: None,
             early: EarlyContact {
                 touched: [false; TAXELS],
                 light: [false; TAXELS],

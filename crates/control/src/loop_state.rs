@@ -13,7 +13,7 @@ use crate::supervisor::Supervisor;
 use crate::targets::TargetsState;
 use crate::uncalibrated::PushCapState;
 use crate::uncovered::UncoveredState;
-use moca_msgs::{Fault, Parameters};
+use moca_msgs::Parameters;
 use moca_tactile::Cover;
 use moca_wbc::{ArmState, BaseState, ControllerState};
 use serde::{Deserialize, Serialize};
@@ -27,8 +27,6 @@ pub struct LoopState {
     pub supervisor: Supervisor,
     /// A real arm is on its own controller.
     pub arm_released: bool,
-    /// Why the robot stands, and the board whose fault that is.
-    pub blamed: (Option<Fault>, Option<u8>),
     /// The law, its live parameters and what protects people.
     pub motion: MotionState,
     /// The cover behind a board, with its zero; `None` where there is none.

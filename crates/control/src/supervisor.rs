@@ -3,7 +3,7 @@
 //! Its rules are the rows of [`EDGES`]; an edge that is not there cannot be taken.
 
 use moca_msgs::mode::Clearing;
-use moca_msgs::{Fault, Law, Mode, Outcome, Reaction, Refusal, Request};
+use moca_msgs::{BoardFault, Fault, Law, Mode, Outcome, Reaction, Refusal, Request};
 use serde::{Deserialize, Serialize};
 
 /// Every allowed change of mode. A law is reached only from `Ready` (or from the other law), `Ready` only through a
@@ -227,7 +227,10 @@ impl Supervisor {
                     facts.cover_fault.filter(|_| asked).or(facts.cover_fault.or(no_zero).filter(|fault| {
                         let silent = matches!(
                             self.cause,
-                            Some(Fault::BoardSilent | Fault::BoardSlow | Fault::HostStarved)
+                            Some(Fault::Board {
+                                fault: BoardFault::Silent | BoardFault::Slow | BoardFault::HostStarved,
+                                ..
+                            })
                         );
                         (asked || silent) && fault.clearing() == Clearing::Tare
                     }));
@@ -410,7 +413,7 @@ mod tests {
         Facts { zero: Zero::Taring, ..GOOD },
         Facts { zero: Zero::Refused, ..GOOD },
         GOOD,
-        Facts { cover_fault: Some(Fault::BoardSilent), ..GOOD },
+        Facts { cover_fault: Some(BoardFault::Silent.of(0)), ..GOOD },
         Facts { cover_fault: Some(DRIFTED), ..GOOD },
         Facts { touch: Some(HAND), ..GOOD },
         Facts { plant_fault: Some(Fault::StateInvalid), ..GOOD },
@@ -546,11 +549,11 @@ mod tests {
     #[test]
     fn a_cover_fault_stops_and_resume_waits_for_cause_and_zero() {
         let mut supervisor = armed();
-        let lost = Facts { cover_fault: Some(Fault::BoardLost), zero: Zero::Invalid, ..GOOD };
+        let lost = Facts { cover_fault: Some(BoardFault::Lost.of(0)), zero: Zero::Invalid, ..GOOD };
         assert_eq!(supervisor.step(&lost, None).mode, Mode::ProtectiveStop);
-        assert_eq!(supervisor.cause(), Some(Fault::BoardLost));
+        assert_eq!(supervisor.cause(), Some(BoardFault::Lost.of(0)));
         let refused = supervisor.step(&lost, Some(Request::Resume)).outcome;
-        assert_eq!(refused, Some(Err(Refusal::CauseRemains(Fault::BoardLost))));
+        assert_eq!(refused, Some(Err(Refusal::CauseRemains(BoardFault::Lost.of(0)))));
         let back = Facts { zero: Zero::Invalid, ..GOOD };
         assert_eq!(supervisor.step(&back, Some(Request::Resume)).outcome, Some(Err(Refusal::ZeroInvalid)));
         let decision = supervisor.step(&back, Some(Request::Tare));
@@ -615,7 +618,7 @@ mod tests {
 
         // Silence: the text asks for nothing but frames.
         let mut supervisor = armed();
-        supervisor.step(&Facts { cover_fault: Some(Fault::BoardSilent), ..GOOD }, None);
+        supervisor.step(&Facts { cover_fault: Some(BoardFault::Silent.of(0)), ..GOOD }, None);
         assert_eq!(ask(&mut supervisor, GOOD, Request::Resume), Ok(()));
 
         // An operator's stop during the tare that a fault demands does not make up for it.
@@ -628,7 +631,7 @@ mod tests {
 
         // Where a tare has become necessary since, the text says so.
         let mut supervisor = armed();
-        supervisor.step(&Facts { cover_fault: Some(Fault::BoardSilent), ..GOOD }, None);
+        supervisor.step(&Facts { cover_fault: Some(BoardFault::Silent.of(0)), ..GOOD }, None);
         supervisor.step(&Facts { zero: Zero::Invalid, ..GOOD }, None);
         assert_eq!(supervisor.cause(), Some(Fault::ZeroInvalid));
 
@@ -647,11 +650,11 @@ mod tests {
         assert_eq!(tared(&mut supervisor, drifted), Mode::ProtectiveStop);
         assert_eq!(ask(&mut supervisor, GOOD, Request::Resume), Ok(()));
 
-        let frozen = Facts { cover_fault: Some(Fault::BoardFrozen), ..GOOD };
+        let frozen = Facts { cover_fault: Some(BoardFault::Frozen.of(0)), ..GOOD };
         supervisor.step(&frozen, None);
         assert_eq!(
             ask(&mut supervisor, frozen, Request::Tare),
-            Err(Refusal::CauseRemains(Fault::BoardFrozen))
+            Err(Refusal::CauseRemains(BoardFault::Frozen.of(0)))
         );
     }
 

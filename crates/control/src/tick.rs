@@ -28,7 +28,6 @@ pub struct ControlLoop<P, S> {
     /// A real arm is on its own controller; torque control begins with [`Mode::Ready`].
     arm_released: bool,
     /// Why the robot stands, and the board whose fault that is.
-    blamed: (Option<Fault>, Option<u8>),
     ticked: Ticked,
 }
 
@@ -45,8 +44,8 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     /// A loop that has not ticked yet.
     pub fn new(plant: P, cover: S, supervisor: Supervisor, motion: Motion, period_s: f64) -> Self {
         let (state_check, ticked) = (StateCheck::default(), Ticked::default());
-        let (arm_released, blamed) = (motion.is_of_a_real_robot(), (None, None));
-        Self { plant, cover, state_check, supervisor, motion, period_s, arm_released, blamed, ticked }
+        let arm_released = motion.is_of_a_real_robot();
+        Self { plant, cover, state_check, supervisor, motion, period_s, arm_released, ticked }
     }
 
     /// One tick: read, decide, command, write; `timer` hears of each stage's end. What it leaves behind stays where it is:
@@ -76,7 +75,6 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         }
         timer.end(Stage::Write);
 
-        self.blame(&cover);
         self.show(slot, (robot.state.as_ref(), age, link), &cover, &actuation, output.as_ref());
         self.ticked.input = TickInput {
             slot: *slot,
@@ -98,10 +96,10 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
 
     /// Returns a copy of the loop's memory between this tick and the next, without allocating.
     pub fn state(&self) -> LoopState {
-        let Self { plant: _, cover, state_check, supervisor, motion, arm_released, blamed, .. } = self;
-        let (state_check, supervisor, blamed) = (*state_check, *supervisor, *blamed);
+        let Self { plant: _, cover, state_check, supervisor, motion, arm_released, .. } = self;
+        let (state_check, supervisor) = (*state_check, *supervisor);
         let (arm_released, motion, cover) = (*arm_released, motion.state(), cover.state());
-        LoopState { state_check, supervisor, arm_released, blamed, motion, cover }
+        LoopState { state_check, supervisor, arm_released, motion, cover }
     }
 
     /// Goes on from where `state` was taken.
@@ -110,8 +108,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     /// It is of another robot than the configuration's.
     pub fn restore(&mut self, state: &LoopState) -> Result<(), OtherRobot> {
         self.motion.restore(&state.motion)?;
-        (self.state_check, self.supervisor, self.blamed) =
-            (state.state_check, state.supervisor, state.blamed);
+        (self.state_check, self.supervisor) = (state.state_check, state.supervisor);
         self.arm_released = state.arm_released;
         self.cover.restore(&state.cover);
         Ok(())
@@ -144,15 +141,6 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         #[expect(clippy::cast_precision_loss, reason = "a count of missed slots")]
         let ticks = slot.ticks as f64;
         self.period_s * ticks
-    }
-
-    /// Remembers whose fault a stop is for as long as it lasts: the board may be well again by then.
-    fn blame(&mut self, cover: &CoverState) {
-        let cause = self.supervisor.cause();
-        if cause != self.blamed.0 {
-            self.blamed =
-                (cause, cover.poll.fault_board.filter(|_| cause.is_some() && cause == cover.poll.fault));
-        }
     }
 
     /// The answer to `request`, and the mode.
@@ -276,7 +264,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         actuation: &Actuation<JOINTS>,
         output: Option<&ControlOutput<JOINTS>>,
     ) {
-        let Self { supervisor, motion, blamed, ticked: Ticked { sample, .. }, .. } = self;
+        let Self { supervisor, motion, ticked: Ticked { sample, .. }, .. } = self;
         sample.tick = slot.tick;
         sample.time_ns = slot.now_ns;
         sample.lateness_s = slot.lateness_s;
@@ -284,7 +272,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         sample.stages_ns = slot.stages_ns;
         sample.mode = supervisor.mode();
         sample.law = Some(supervisor.law());
-        (sample.fault, sample.fault_board) = *blamed;
+        sample.fault = supervisor.cause();
         sample.target = motion.target();
         sample.posture = motion.posture_offset();
         sample.link = link.map(|arm| Link { arm_age_s: age.arm_s, base_age_s: age.base_s, arm });
@@ -344,6 +332,7 @@ mod tests {
     use crate::plant::SourceAge;
     use crate::stage::Untimed;
     use crate::supervisor::Zero;
+    use moca_msgs::BoardFault;
     use moca_msgs::TaxelStatus;
 
     /// Stands still; remembers the last order and refuses it if told to.
@@ -451,7 +440,7 @@ mod tests {
         for control in [&mut used, &mut fresh] {
             control.plant.lost = true;
             control.cover.0 = CoverState::NONE;
-            control.cover.0.poll.fault = Some(Fault::BoardSilent);
+            control.cover.0.poll.fault = Some(BoardFault::Silent.of(0));
         }
         fresh.ticked = Ticked::default();
         let sample = step(&mut used, 2);

@@ -16,7 +16,7 @@ use moca_lockstep::touch_board::ByteCover;
 use moca_lockstep::{LockStep, MemoryBoards};
 use moca_msgs::{Law, Mode, Request};
 use moca_sim::VirtualBoardConfig;
-use moca_sim::board::BoardFault;
+use moca_sim::board::BoardFailure;
 
 /// Ticks in each mode.
 const TICKS: u64 = 10_000;
@@ -42,7 +42,7 @@ fn main() {
     let press = |force_n| Request::PressTaxel { taxel: 2, force_n };
     watched(&mut world, Mode::Impedance, &[Request::Arm, press(15.0)]);
     watched(&mut world, Mode::FollowMe, &[Request::SelectLaw(Law::FollowMe)]);
-    world.feed[0].board().set_fault(Some(BoardFault::I2cLost));
+    world.feed[0].board().set_fault(Some(BoardFailure::I2cLost));
     watched(&mut world, Mode::ProtectiveStop, &[press(0.0)]);
     world.feed[0].unplug();
     watched(&mut world, Mode::ProtectiveStop, &[]);

@@ -3,7 +3,7 @@
 use crate::mpr121::Signal;
 use crate::{Board, Hex, Settings};
 use anyhow::{Result, ensure};
-use moca_msgs::Fault;
+use moca_msgs::BoardFault;
 use moca_tactile::board::{BoardMonitor, BoardStats, MAX_ELECTRODES};
 use moca_tactile::touchline::Flags;
 
@@ -27,7 +27,7 @@ struct Watch {
     reader: BoardMonitor,
     start_us: u64,
     /// (us since the start, fault) at each change.
-    changes: Vec<(u64, Option<Fault>)>,
+    changes: Vec<(u64, Option<BoardFault>)>,
     /// All flags that any line carried since the last look.
     flags: Flags,
     last_frame_us: u64,
@@ -59,7 +59,7 @@ impl Watch {
         Ok(watch)
     }
 
-    fn fault(&self) -> Option<Option<Fault>> {
+    fn fault(&self) -> Option<Option<BoardFault>> {
         self.changes.last().map(|change| change.1)
     }
 
@@ -87,7 +87,7 @@ impl Watch {
     }
 
     /// Time from the fault until `fault` was first reported, us.
-    fn found_after(&self, fault: Fault) -> Option<u64> {
+    fn found_after(&self, fault: BoardFault) -> Option<u64> {
         self.changes
             .iter()
             .find(|(us, f)| *us >= FAULT_AT_US && *f == Some(fault))
@@ -161,7 +161,7 @@ fn nack(hex: &Hex) -> Result<Outcome> {
     set_mute(&mut watch, false);
     watch.run_until(FAULT_AT_US + 700_000)?;
     let checks = [
-        ("flagged after", first_of(&watch, &[Fault::BoardFrozen, Fault::BoardReset]), 8_000),
+        ("flagged after", first_of(&watch, &[BoardFault::Frozen, BoardFault::Reset]), 8_000),
         ("good again after", watch.healthy_after(FAULT_AT_US + 300_000), 60_000),
     ];
     Ok(verdict("chip does not answer for 0.3 s", &watch, &checks, None))
@@ -171,7 +171,7 @@ fn set_mute(watch: &mut Watch, mute: bool) {
     watch.board.chips().iter_mut().for_each(|chip| chip.mute = mute);
 }
 
-fn first_of(watch: &Watch, faults: &[Fault]) -> Option<u64> {
+fn first_of(watch: &Watch, faults: &[BoardFault]) -> Option<u64> {
     faults.iter().filter_map(|fault| watch.found_after(*fault)).min()
 }
 
@@ -182,7 +182,7 @@ fn chip_reset(hex: &Hex) -> Result<Outcome> {
     watch.run_until(FAULT_AT_US + 300_000)?;
     let kept = watch.board.chips().at(0x5C).map(|chip| chip.gain());
     let checks = [
-        ("flagged after", watch.found_after(Fault::BoardReset), 20_000),
+        ("flagged after", watch.found_after(BoardFault::Reset), 20_000),
         ("good again after", watch.healthy_after(FAULT_AT_US), 60_000),
     ];
     let extra = (gain != kept).then(|| "the gain changed".to_owned());
@@ -232,7 +232,7 @@ fn over_current(hex: &Hex) -> Result<Outcome> {
     let mut watch = Watch::new(hex, &Settings::default())?;
     watch.board.chips().iter_mut().for_each(|chip| chip.over_current = true);
     watch.run_until(FAULT_AT_US + 200_000)?;
-    let checks = [("flagged after", watch.found_after(Fault::BoardChip), 10_000)];
+    let checks = [("flagged after", watch.found_after(BoardFault::Chip), 10_000)];
     Ok(verdict("over-current", &watch, &checks, None))
 }
 
@@ -240,7 +240,7 @@ fn out_of_range(hex: &Hex) -> Result<Outcome> {
     let mut watch = Watch::new(hex, &Settings::default())?;
     watch.board.chips().iter_mut().for_each(|chip| chip.out_of_range = true);
     watch.run_until(FAULT_AT_US + 200_000)?;
-    let checks = [("flagged after", watch.found_after(Fault::BoardChip), 10_000)];
+    let checks = [("flagged after", watch.found_after(BoardFault::Chip), 10_000)];
     Ok(verdict("electrode out of range", &watch, &checks, None))
 }
 

@@ -41,7 +41,7 @@ pub mod taxel;
 pub mod truth;
 
 pub use link::{ArmLink, ArmMode, Link};
-pub use mode::{Fault, Law, Mode, Reaction};
+pub use mode::{BoardFault, Fault, Law, Mode, Reaction};
 pub use params::{Corrections, ImpedanceGains, Limits, ParameterError, ParameterValues, Parameters};
 pub use protection::{
     ContactEvent, ContactReaction, ContactRow, PostureOffset, SpeedLimit, SpeedLimitReason,

@@ -1,12 +1,13 @@
 //! Modes of the supervisor, control laws, and the closed list of reasons to stop.
 //!
 //! ```
-//! use moca_msgs::mode::{Clearing, Fault, Mode, Reaction};
+//! use moca_msgs::mode::{BoardFault, Clearing, Mode, Reaction};
 //!
 //! assert!(Mode::FollowMe.moves() && !Mode::Ready.moves());
-//! assert_eq!(Fault::BoardFrozen.reaction(), Reaction::ProtectiveStop);
-//! assert_eq!(Fault::BoardFrozen.clearing(), Clearing::Tare);
-//! println!("{} {}", Fault::BoardFrozen.text(), Fault::BoardFrozen.remedy());
+//! let frozen = BoardFault::Frozen.of(1);
+//! assert_eq!((frozen.board(), frozen.code()), (Some(1), "board-frozen"));
+//! assert_eq!((frozen.reaction(), frozen.clearing()), (Reaction::ProtectiveStop, Clearing::Tare));
+//! println!("{} {}", frozen.text(), frozen.remedy());
 //! ```
 
 use crate::TaxelStatus;
@@ -84,26 +85,53 @@ pub enum Reaction {
     Fault,
 }
 
-/// Every reason to stop. Taxel numbers count from 0 here and are shown as T1….
+/// Fault of a board's stream of frames; [`Fault::Board`] says of which board. Logs keep the longer names.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum BoardFault {
+    /// No good frame within the deadline.
+    #[cfg_attr(feature = "serde", serde(rename = "BoardSilent"))]
+    Silent,
+    /// The port closed or vanished.
+    #[cfg_attr(feature = "serde", serde(rename = "BoardLost"))]
+    Lost,
+    /// Well-formed frames, but the data has not changed: I2C to the sensor chip lost.
+    #[cfg_attr(feature = "serde", serde(rename = "BoardFrozen"))]
+    Frozen,
+    /// The sensor chip reset (every value is 0, or the firmware says so), or the board did: its clock or numbers jump.
+    #[cfg_attr(feature = "serde", serde(rename = "BoardReset"))]
+    Reset,
+    /// Threshold registers changed: another configuration, or bus garbage.
+    #[cfg_attr(feature = "serde", serde(rename = "BoardThresholds"))]
+    Thresholds,
+    /// Every taxel of a board shifted alike: supply voltage or ground, not hands.
+    #[cfg_attr(feature = "serde", serde(rename = "BoardCommonMode"))]
+    CommonMode,
+    /// The board is not the one that the calibration was made with.
+    CalibrationMismatch,
+    /// No good frame within the deadline, because this PC did not run the threads that bring it.
+    HostStarved,
+    /// Good frames come, but too seldom to be used.
+    #[cfg_attr(feature = "serde", serde(rename = "BoardSlow"))]
+    Slow,
+    /// The sensor chip says that it does not measure: over-current, or an electrode out of its range.
+    #[cfg_attr(feature = "serde", serde(rename = "BoardChip"))]
+    Chip,
+}
+
+/// Every reason to stop. Numbers of taxels, joints and boards count from 0 here and are shown from 1: T1….
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Fault {
     /// The operator pressed stop.
     OperatorStop,
-    /// No good frame within the deadline.
-    BoardSilent,
-    /// The port closed or vanished.
-    BoardLost,
-    /// Well-formed frames, but the data has not changed: I2C to the sensor chip lost.
-    BoardFrozen,
-    /// The sensor chip reset (every value is 0, or the firmware says so), or the board did: its clock or numbers jump.
-    BoardReset,
-    /// Threshold registers changed: another configuration, or bus garbage.
-    BoardThresholds,
-    /// Every taxel of a board shifted alike: supply voltage or ground, not hands.
-    BoardCommonMode,
-    /// The board is not the one that the calibration was made with.
-    CalibrationMismatch,
+    /// A board sends nothing, or nothing that can be used.
+    Board {
+        /// 0 is the first.
+        board: u8,
+        /// Why.
+        fault: BoardFault,
+    },
     /// One taxel is unusable.
     TaxelInvalid {
         /// 0 is T1.
@@ -125,10 +153,6 @@ pub enum Fault {
     OperatorLost,
     /// A controller refused its input or gave a value outside its limits.
     ControlRefused,
-    /// No good frame within the deadline, because this PC did not run the threads that bring it.
-    HostStarved,
-    /// Good frames come, but too seldom to be used.
-    BoardSlow,
     /// A joint is faster than the arm allows where it is.
     JointSpeed {
         /// 0 is the first joint.
@@ -138,8 +162,6 @@ pub enum Fault {
     FlangeSpeed,
     /// The flange is further from where it is wanted than `limits.pose_error_m` or `limits.pose_error_rad`.
     PoseError,
-    /// The sensor chip says that it does not measure: over-current, or an electrode out of its range.
-    BoardChip,
     /// The arm stopped itself: a collision, a limit or the line; it says which.
     ArmReflex,
     /// The arm's user-stop device is pressed.
@@ -168,31 +190,37 @@ pub enum Clearing {
 
 /// Declares the code of every fault once: a fault without one does not compile.
 macro_rules! codes {
-    ($($fault:ident: $code:literal),* $(,)?) => {
-        impl Fault {
-            /// Every code.
-            pub const CODES: &'static [&'static str] = &[$($code),*];
+    ($type:ident { $($fault:ident: $code:literal),* $(,)? } $($other:pat => $its_code:expr)?) => {
+        impl $type {
+            /// Codes of its own variants.
+            const CODES: &'static [&'static str] = &[$($code),*];
 
             /// Stable code for logs and scripts.
             pub const fn code(self) -> &'static str {
                 match self {
-                    $(Self::$fault { .. } => $code),*
+                    $(Self::$fault { .. } => $code,)*
+                    $($other => $its_code,)?
                 }
             }
         }
     };
 }
 
-codes! {
-    OperatorStop: "operator-stop",
-    BoardSilent: "board-silent",
-    BoardLost: "board-lost",
-    BoardFrozen: "board-frozen",
-    BoardReset: "board-reset",
-    BoardThresholds: "board-thresholds",
-    BoardChip: "board-chip",
-    BoardCommonMode: "board-common-mode",
+codes!(BoardFault {
+    Silent: "board-silent",
+    Lost: "board-lost",
+    Frozen: "board-frozen",
+    Reset: "board-reset",
+    Thresholds: "board-thresholds",
+    Chip: "board-chip",
+    CommonMode: "board-common-mode",
+    Slow: "board-slow",
     CalibrationMismatch: "calibration-mismatch",
+    HostStarved: "host-starved",
+});
+
+codes!(Fault {
+    OperatorStop: "operator-stop",
     TaxelInvalid: "taxel-invalid",
     ZeroInvalid: "zero-invalid",
     StateInvalid: "state-invalid",
@@ -201,8 +229,6 @@ codes! {
     BaseStale: "base-stale",
     OperatorLost: "operator-lost",
     ControlRefused: "control-refused",
-    HostStarved: "host-starved",
-    BoardSlow: "board-slow",
     JointSpeed: "joint-speed",
     FlangeSpeed: "flange-speed",
     PoseError: "pose-error",
@@ -211,29 +237,81 @@ codes! {
     ArmUserStopped: "arm-user-stopped",
     ArmRefused: "arm-refused",
     BaseLate: "base-late",
+} Fault::Board { fault, .. } => fault.code());
+
+impl BoardFault {
+    /// Returns this fault as one of `board`, 0 is the first.
+    pub const fn of(self, board: u8) -> Fault {
+        Fault::Board { board, fault: self }
+    }
+
+    /// One sentence for the person in front of the robot.
+    pub const fn text(self) -> &'static str {
+        match self {
+            Self::Silent => "No good frame from the Touch Board within its deadline.",
+            Self::Lost => "The Touch Board's port closed: unplugged, or it lost power.",
+            Self::Frozen => {
+                "The Touch Board sends frames, but its data is frozen: I2C to the sensor chip lost."
+            }
+            Self::Reset => "The Touch Board or its sensor chip was reset.",
+            Self::Chip => {
+                "The Touch Board's sensor chip does not measure: over-current, or an electrode out of its range."
+            }
+            Self::Thresholds => "The Touch Board's threshold registers changed: bus garbage or a new sketch.",
+            Self::CommonMode => {
+                "Every taxel of a Touch Board shifted alike: its supply or ground, not hands."
+            }
+            Self::CalibrationMismatch => "The calibration was made with another sketch than the board runs.",
+            Self::HostStarved => "This PC was too busy to read the Touch Board within its deadline.",
+            Self::Slow => "The Touch Board's frames come too seldom to be used.",
+        }
+    }
+
+    const fn clearing(self) -> Clearing {
+        match self {
+            Self::Silent | Self::Slow | Self::HostStarved | Self::CalibrationMismatch => Clearing::Resume,
+            Self::Lost | Self::Frozen | Self::Reset | Self::Thresholds | Self::Chip | Self::CommonMode => {
+                Clearing::Tare
+            }
+        }
+    }
+
+    const fn remedy(self) -> &'static str {
+        match self {
+            Self::Silent => "Check cable and power; when frames come again: resume.",
+            Self::Slow => "Check the board's sketch and this PC's load; when frames come in time: resume.",
+            Self::HostStarved => "End other programs (`mocad doctor` says what else helps); then resume.",
+            Self::Lost => "Check cable and power; when frames come again: tare, then resume.",
+            Self::Frozen | Self::Reset | Self::Thresholds | Self::Chip => {
+                "Power-cycle the board; when frames are good: tare, then resume."
+            }
+            Self::CommonMode => "Check the board's supply and ground; then tare and resume.",
+            Self::CalibrationMismatch => {
+                "Flash the sketch named in the calibration file, or calibrate again; then resume."
+            }
+        }
+    }
 }
 
 impl Fault {
+    /// Returns true if `code` is [`Fault::code`] of a fault.
+    pub fn has_code(code: &str) -> bool {
+        Self::CODES.iter().chain(BoardFault::CODES).any(|known| *known == code)
+    }
+
+    /// Returns the board that it is of, 0 is the first; `None` where it is of none.
+    pub const fn board(self) -> Option<u8> {
+        match self {
+            Self::Board { board, .. } => Some(board),
+            _ => None,
+        }
+    }
+
     /// One sentence for the person in front of the robot.
     pub const fn text(self) -> &'static str {
         match self {
             Self::OperatorStop => "Stopped by the operator.",
-            Self::BoardSilent => "No good frame from the Touch Board within its deadline.",
-            Self::BoardLost => "The Touch Board's port closed: unplugged, or it lost power.",
-            Self::BoardFrozen => {
-                "The Touch Board sends frames, but its data is frozen: I2C to the sensor chip lost."
-            }
-            Self::BoardReset => "The Touch Board or its sensor chip was reset.",
-            Self::BoardChip => {
-                "The Touch Board's sensor chip does not measure: over-current, or an electrode out of its range."
-            }
-            Self::BoardThresholds => {
-                "The Touch Board's threshold registers changed: bus garbage or a new sketch."
-            }
-            Self::BoardCommonMode => {
-                "Every taxel of a Touch Board shifted alike: its supply or ground, not hands."
-            }
-            Self::CalibrationMismatch => "The calibration was made with another sketch than the board runs.",
+            Self::Board { fault, .. } => fault.text(),
             Self::TaxelInvalid { .. } => "A taxel is unusable.",
             Self::ZeroInvalid => "The cover has no valid zero.",
             Self::StateInvalid => "The robot's state holds a value that is not a number or not possible.",
@@ -242,8 +320,6 @@ impl Fault {
             Self::BaseStale => "The base's state has not been renewed within its deadline.",
             Self::OperatorLost => "The panel that armed the robot is gone.",
             Self::ControlRefused => "The controller refused its input.",
-            Self::HostStarved => "This PC was too busy to read the Touch Board within its deadline.",
-            Self::BoardSlow => "The Touch Board's frames come too seldom to be used.",
             Self::JointSpeed { .. } => "A joint moved faster than the arm allows.",
             Self::FlangeSpeed => "The flange moved faster than its limit.",
             Self::PoseError => "The flange was further from where it is wanted than its limit.",
@@ -266,30 +342,20 @@ impl Fault {
     /// Returns the action that the supervisor requires before it resumes; [`Fault::remedy`] describes the same one.
     pub const fn clearing(self) -> Clearing {
         match self {
+            Self::Board { fault, .. } => fault.clearing(),
             Self::OperatorStop
             | Self::OperatorLost
-            | Self::BoardSilent
-            | Self::BoardSlow
-            | Self::HostStarved
             | Self::ArmStale
             | Self::BaseStale
             | Self::ArmReflex
             | Self::ArmUserStopped
             | Self::ArmRefused
-            | Self::CalibrationMismatch
             | Self::JointSpeed { .. }
             | Self::FlangeSpeed
             | Self::PoseError
             | Self::ArmStretched { .. }
             | Self::BaseLate => Clearing::Resume,
-            Self::BoardLost
-            | Self::BoardFrozen
-            | Self::BoardReset
-            | Self::BoardThresholds
-            | Self::BoardChip
-            | Self::BoardCommonMode
-            | Self::TaxelInvalid { .. }
-            | Self::ZeroInvalid => Clearing::Tare,
+            Self::TaxelInvalid { .. } | Self::ZeroInvalid => Clearing::Tare,
             Self::StateInvalid | Self::PlantLost | Self::ControlRefused => Clearing::Restart,
         }
     }
@@ -298,7 +364,7 @@ impl Fault {
     pub const fn a_tare_may_end_it(self) -> bool {
         use crate::TaxelStatus::{Dead, Drifted, NoZero, Noisy, Stuck};
         match self {
-            Self::ZeroInvalid | Self::BoardCommonMode => true,
+            Self::ZeroInvalid | Self::Board { fault: BoardFault::CommonMode, .. } => true,
             Self::TaxelInvalid { status, .. } => matches!(status, Dead | Drifted | NoZero | Noisy | Stuck),
             _ => false,
         }
@@ -329,19 +395,7 @@ impl Fault {
                 "It is slower until its stopping distance is measured again (`mocad doctor --base --write`); resume when it is safe."
             }
             Self::OperatorLost => "Connect a panel; resume when it is safe.",
-            Self::BoardSilent => "Check cable and power; when frames come again: resume.",
-            Self::BoardSlow => {
-                "Check the board's sketch and this PC's load; when frames come in time: resume."
-            }
-            Self::HostStarved => "End other programs (`mocad doctor` says what else helps); then resume.",
-            Self::BoardLost => "Check cable and power; when frames come again: tare, then resume.",
-            Self::BoardFrozen | Self::BoardReset | Self::BoardThresholds | Self::BoardChip => {
-                "Power-cycle the board; when frames are good: tare, then resume."
-            }
-            Self::BoardCommonMode => "Check the board's supply and ground; then tare and resume.",
-            Self::CalibrationMismatch => {
-                "Flash the sketch named in the calibration file, or calibrate again; then resume."
-            }
+            Self::Board { fault, .. } => fault.remedy(),
             Self::TaxelInvalid { status: TaxelStatus::Saturated, .. } => {
                 "Free anyone who presses there. If nobody does, check its plate and wire; then tare and resume."
             }
@@ -383,14 +437,14 @@ mod tests {
     fn the_text_of_a_stop_says_what_resuming_demands() {
         let mut faults = [
             Fault::OperatorStop,
-            Fault::BoardSilent,
-            Fault::BoardLost,
-            Fault::BoardFrozen,
-            Fault::BoardReset,
-            Fault::BoardThresholds,
-            Fault::BoardChip,
-            Fault::BoardCommonMode,
-            Fault::CalibrationMismatch,
+            BoardFault::Silent.of(1),
+            BoardFault::Lost.of(1),
+            BoardFault::Frozen.of(1),
+            BoardFault::Reset.of(1),
+            BoardFault::Thresholds.of(1),
+            BoardFault::Chip.of(1),
+            BoardFault::CommonMode.of(1),
+            BoardFault::CalibrationMismatch.of(1),
             Fault::ZeroInvalid,
             Fault::StateInvalid,
             Fault::PlantLost,
@@ -398,8 +452,8 @@ mod tests {
             Fault::BaseStale,
             Fault::OperatorLost,
             Fault::ControlRefused,
-            Fault::HostStarved,
-            Fault::BoardSlow,
+            BoardFault::HostStarved.of(1),
+            BoardFault::Slow.of(1),
             Fault::ArmReflex,
             Fault::ArmUserStopped,
             Fault::ArmRefused,
@@ -412,13 +466,14 @@ mod tests {
         ];
         let pressed = Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Saturated };
         assert!(pressed.to_string().starts_with("T4 is at its end. Free anyone who presses there."));
-        assert_eq!(faults.len(), Fault::CODES.len());
+        assert_eq!(faults.len(), Fault::CODES.len() + BoardFault::CODES.len());
         faults.sort_by_key(|fault| fault.code());
         for pair in faults.windows(2) {
             assert_ne!(pair[0].code(), pair[1].code());
         }
         for fault in faults {
-            assert!(Fault::CODES.contains(&fault.code()), "{}", fault.code());
+            assert!(Fault::has_code(fault.code()), "{}", fault.code());
+            assert_eq!(fault.board(), fault.code().starts_with("board").then_some(1), "{}", fault.code());
             let remedy = fault.remedy();
             let says = (
                 remedy.contains("tare"),

@@ -45,8 +45,6 @@ macro_rules! sample_table {
                 mode: Mode;
                 /// Why the robot is stopped, if it is.
                 fault: Option<Fault>;
-                /// The board whose fault it is, 0 is the first; `None` where it is of no board.
-                fault_board: Option<u8>;
                 /// The last target from another program since the law was entered.
                 target: Option<TargetState>;
                 /// Displacement of the base from where the arm's posture wants it; `None` unless the impedance law runs. Not in logs, a

@@ -27,7 +27,7 @@ pub mod scene;
 pub mod sensor;
 mod stepping;
 
-pub use board::{BoardFault, VirtualBoard, VirtualBoardConfig};
+pub use board::{BoardFailure, VirtualBoard, VirtualBoardConfig};
 pub use contact::Tissue;
 pub use error::SimError;
 pub use mjcf::SERVO_DAMPING;

@@ -1,6 +1,6 @@
 //! The virtual Touch Board on a pseudo-terminal, in real time: a program opens it like a real one.
 
-use crate::board::{BoardFault, VirtualBoard, VirtualBoardConfig};
+use crate::board::{BoardFailure, VirtualBoard, VirtualBoardConfig};
 use crate::{SimError, error::os};
 use moca_tactile::datastream::ELECTRODES;
 use nix::fcntl::{FcntlArg, OFlag, fcntl, open};
@@ -27,7 +27,7 @@ const WAKE: Duration = Duration::from_millis(1);
 enum Command {
     Unplug,
     Replug,
-    Fault(Option<BoardFault>),
+    Fault(Option<BoardFailure>),
     Bytes(Vec<u8>),
 }
 
@@ -90,7 +90,7 @@ impl PtyBoard {
     }
 
     /// Makes the board fail, or heals it.
-    pub fn set_fault(&self, fault: Option<BoardFault>) {
+    pub fn set_fault(&self, fault: Option<BoardFailure>) {
         self.send(Command::Fault(fault));
     }
 

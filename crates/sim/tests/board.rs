@@ -7,7 +7,7 @@
 )]
 
 use moca_sim::foam::Foam;
-use moca_sim::{BoardFault, PtyBoard, SharedForces, VirtualBoard, VirtualBoardConfig};
+use moca_sim::{BoardFailure, PtyBoard, SharedForces, VirtualBoard, VirtualBoardConfig};
 use moca_tactile::{
     Firmware,
     datastream::{Event, Parser, StampedFrame},
@@ -104,7 +104,7 @@ fn a_press_is_seen_as_late_as_the_firmware_makes_it() {
 fn faults_look_as_the_firmware_s() {
     let mut lost = board(VirtualBoardConfig::default());
     run(&mut lost, 0, 1000, |_| 0.0);
-    lost.set_fault(Some(BoardFault::I2cLost));
+    lost.set_fault(Some(BoardFailure::I2cLost));
     let frames = run(&mut lost, 1000, 3000, |_| 80.0).frames;
     let after = &frames[2..];
     assert!(after.len() > 100, "faster than before: {}", after.len());
@@ -112,12 +112,12 @@ fn faults_look_as_the_firmware_s() {
     assert_ne!(after[0].frame.touch_threshold[3], 40);
 
     let mut reset = board(VirtualBoardConfig::default());
-    reset.set_fault(Some(BoardFault::ChipReset));
+    reset.set_fault(Some(BoardFailure::ChipReset));
     let last = run(&mut reset, 0, 500, |_| 0.0).frames.pop().unwrap().frame;
     assert_eq!((last.filtered, last.baseline), ([0; 13], [0; 13]));
 
     let mut silent = board(VirtualBoardConfig::default());
-    silent.set_fault(Some(BoardFault::Silent));
+    silent.set_fault(Some(BoardFailure::Silent));
     assert!(run(&mut silent, 0, 500, |_| 0.0).bytes.is_empty());
 }
 

@@ -27,7 +27,7 @@ use crate::touchline::BANKS;
 use crate::zero::{
     TARE_FRAMES, TARE_TIME_NS, TARE_TIMEOUT_NS, TareQuality, TareRefusal, TareStatus, TareSum, TaxelZero,
 };
-use moca_msgs::{CoverReading, Fault, TaxelReading, TaxelStatus};
+use moca_msgs::{BoardFault, CoverReading, Fault, TaxelReading, TaxelStatus};
 
 /// For this long after a contact the foam is still recovering, ns: drift is not followed.
 const SETTLE_NS: u64 = 2_000_000_000;
@@ -47,8 +47,6 @@ pub struct Poll<const K: usize> {
     pub forces: Result<[f64; K], (usize, TaxelStatus)>,
     /// The gravest fault, if any.
     pub fault: Option<Fault>,
-    /// The board that it is of, 0 is the first; `None` if it is of none.
-    pub fault_board: Option<u8>,
     /// Contact from frames that are not complete yet.
     pub early: EarlyContact<K>,
 }
@@ -248,8 +246,8 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         }
         reading.sampled_at_ns = oldest(self.boards.iter().flat_map(Board::wired).map(|b| b.sampled_at_ns));
         let forces = self.forces(&reading);
-        let (fault, fault_board) = self.fault(&forces, now_ns).unzip();
-        Poll { reading, forces, fault, fault_board: fault_board.flatten(), early: self.early() }
+        let fault = self.fault(&forces, now_ns);
+        Poll { reading, forces, fault, early: self.early() }
     }
 
     /// FDAT of the last usable frame, T1 first; 0 before one came.
@@ -283,33 +281,29 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         Ok(forces)
     }
 
-    /// The gravest fault, and the board that it is of.
-    fn fault(
-        &self,
-        forces: &Result<[f64; K], (usize, TaxelStatus)>,
-        now_ns: u64,
-    ) -> Option<(Fault, Option<u8>)> {
-        let first = |of: &dyn Fn(&Board<S>) -> Option<Fault>| {
-            (0u8..).zip(&self.boards).find_map(|(number, board)| Some((of(board)?, Some(number))))
+    /// The gravest fault.
+    fn fault(&self, forces: &Result<[f64; K], (usize, TaxelStatus)>, now_ns: u64) -> Option<Fault> {
+        let first = |of: &dyn Fn(&Board<S>) -> Option<BoardFault>| {
+            (0u8..).zip(&self.boards).find_map(|(number, board)| Some(of(board)?.of(number)))
         };
         let mismatch = |board: &Board<S>| {
             let (expected, found) = self.config.calibrated_firmware.zip(board.source.firmware())?;
-            (expected != found).then_some(Fault::CalibrationMismatch)
+            (expected != found).then_some(BoardFault::CalibrationMismatch)
         };
         let common_mode = |board: &Board<S>| {
             let shifted = board.wired().any(|bank| bank.common_mode >= COMMON_MODE_FRAMES);
-            shifted.then_some(Fault::BoardCommonMode)
+            shifted.then_some(BoardFault::CommonMode)
         };
         let taxel = || match *forces {
             Ok(_) => None,
-            Err((_, TaxelStatus::NoZero)) => Some((Fault::ZeroInvalid, None)),
+            Err((_, TaxelStatus::NoZero)) => Some(Fault::ZeroInvalid),
             // The stream has no fault, so frames do come: each after a gap that makes its age unknown.
             Err((i, TaxelStatus::Stale)) => {
-                Some((Fault::BoardSlow, self.config.wiring.get(i).map(|wire| wire.board)))
+                Some(BoardFault::Slow.of(self.config.wiring.get(i).map_or(0, |wire| wire.board)))
             }
             Err((i, status)) => {
                 let taxel = u8::try_from(i).unwrap_or(u8::MAX);
-                Some((Fault::TaxelInvalid { taxel, status }, None))
+                Some(Fault::TaxelInvalid { taxel, status })
             }
         };
         first(&|board| board.source.fault(now_ns))
@@ -329,11 +323,11 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         let (Some(board), Some(bank)) = (board, bank) else { return TaxelStatus::NoZero };
         match board.source.fault(now_ns) {
             Some(
-                Fault::BoardSilent
-                | Fault::HostStarved
-                | Fault::BoardLost
-                | Fault::BoardFrozen
-                | Fault::BoardChip,
+                BoardFault::Silent
+                | BoardFault::HostStarved
+                | BoardFault::Lost
+                | BoardFault::Frozen
+                | BoardFault::Chip,
             ) => return TaxelStatus::Stale,
             _ if now_ns.saturating_sub(bank.complete_ns) > SILENT_AFTER_NS => return TaxelStatus::Stale,
             _ => {}

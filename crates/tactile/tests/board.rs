@@ -1,7 +1,7 @@
 //! Events of a board's reader besides frames.
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has to stop")]
 
-use moca_msgs::Fault;
+use moca_msgs::BoardFault;
 use moca_tactile::Firmware;
 use moca_tactile::board::{
     BoardEvent, BoardMonitor, Diagnosis, FROZEN_FRAMES, FrameSource, MAX_ELECTRODES, OpenFailure,
@@ -70,10 +70,10 @@ fn each_thing_that_is_wrong_shows_in_its_own_place_and_ends() {
 
     stream.send(&counts(0));
     assert!(stream.board.is_all_zero());
-    assert_eq!(stream.board.fault(stream.now_ns), Some(Fault::BoardReset));
+    assert_eq!(stream.board.fault(stream.now_ns), Some(BoardFault::Reset));
     stream.send(&Frame { touch_threshold: [9; 13], ..counts(722) });
     assert!(stream.board.thresholds_changed() && !stream.board.is_all_zero());
-    assert_eq!(stream.board.fault(stream.now_ns), Some(Fault::BoardThresholds));
+    assert_eq!(stream.board.fault(stream.now_ns), Some(BoardFault::Thresholds));
 
     stream.send(&counts(720));
     for repeated in 1..FROZEN_FRAMES {
@@ -86,7 +86,7 @@ fn each_thing_that_is_wrong_shows_in_its_own_place_and_ends() {
         assert_eq!(stream.board.identical_frames(), repeated);
     }
     assert!(stream.board.is_frozen());
-    assert_eq!(stream.board.fault(stream.now_ns), Some(Fault::BoardFrozen));
+    assert_eq!(stream.board.fault(stream.now_ns), Some(BoardFault::Frozen));
     stream.send(&counts(721));
     assert_eq!((stream.board.identical_frames(), stream.board.is_frozen()), (0, false));
 
@@ -190,7 +190,7 @@ fn a_port_that_does_not_open_is_a_lost_board_that_says_why() {
     stream.send(&counts(700));
     stream.board.open_failed(OpenFailure::Busy);
     assert_eq!(stream.board.diagnosis(), Diagnosis::NotOpen(OpenFailure::Busy));
-    assert_eq!(stream.board.fault(stream.now_ns), Some(Fault::BoardLost));
+    assert_eq!(stream.board.fault(stream.now_ns), Some(BoardFault::Lost));
 }
 
 #[test]
@@ -217,5 +217,5 @@ fn bytes_without_frames_become_not_a_touch_board() {
     assert_eq!(stream.take(b"~"), None);
     assert_eq!(stream.board.diagnosis(), Diagnosis::Unknown);
     assert_eq!(stream.board.fault(SILENT_AFTER_NS), None);
-    assert_eq!(stream.board.fault(SILENT_AFTER_NS + 1), Some(Fault::BoardSilent));
+    assert_eq!(stream.board.fault(SILENT_AFTER_NS + 1), Some(BoardFault::Silent));
 }

@@ -2,7 +2,7 @@
 #![expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "small positive test numbers")]
 #![expect(clippy::unwrap_used, clippy::panic, reason = "tests")]
 
-use moca_msgs::{Fault, TaxelStatus};
+use moca_msgs::{BoardFault, Fault, TaxelStatus};
 use moca_tactile::board::{BoardEvent, CloseReason, OpenFailure};
 use moca_tactile::cover::{COMMON_MODE_FRAMES, MaskPolicy};
 use moca_tactile::datastream::{Frame, emit};
@@ -395,7 +395,7 @@ fn silence_is_stale_within_120_ms_and_recovers_without_a_tare() {
     let last_ns = bench.now_ns;
     assert_eq!(bench.cover.poll(last_ns + 119_000_000).fault, None);
     let poll = bench.cover.poll(last_ns + 121_000_000);
-    assert_eq!(poll.fault, Some(Fault::BoardSilent));
+    assert_eq!(poll.fault, Some(BoardFault::Silent.of(0)));
     assert_eq!(poll.forces, Err((0, TaxelStatus::Stale)));
     bench.now_ns += 300_000_000;
     bench.frame();
@@ -411,18 +411,21 @@ fn silence_while_the_host_did_not_run_is_the_hosts() {
     bench.cover.event(0, &BoardEvent::Starved { at_ns });
     assert_eq!(bench.cover.poll(at_ns).fault, None, "nothing is late yet");
     let poll = bench.cover.poll(at_ns + 20_000_000);
-    assert_eq!((poll.fault, poll.forces), (Some(Fault::HostStarved), Err((0, TaxelStatus::Stale))));
-    assert_eq!(bench.cover.poll(at_ns + 990_000_000).fault, Some(Fault::HostStarved));
+    assert_eq!(
+        (poll.fault, poll.forces),
+        (Some(BoardFault::HostStarved.of(0)), Err((0, TaxelStatus::Stale)))
+    );
+    assert_eq!(bench.cover.poll(at_ns + 990_000_000).fault, Some(BoardFault::HostStarved.of(0)));
     assert_eq!(
         bench.cover.poll(at_ns + 1_010_000_000).fault,
-        Some(Fault::BoardSilent),
+        Some(BoardFault::Silent.of(0)),
         "a dead board after all"
     );
     bench.now_ns += 30_000_000;
     bench.frame();
     assert_eq!(bench.fault(), None);
     bench.now_ns += 130_000_000;
-    assert_eq!(bench.fault(), Some(Fault::BoardSilent), "the next silence is the board's again");
+    assert_eq!(bench.fault(), Some(BoardFault::Silent.of(0)), "the next silence is the board's again");
 }
 
 #[test]
@@ -432,7 +435,7 @@ fn slow_frames_are_named_without_blaming_a_plate() {
         bench.now_ns += 111_000_000 - PERIOD_NS;
         bench.frame();
     }
-    assert_eq!(bench.fault(), Some(Fault::BoardSlow), "9 Hz");
+    assert_eq!(bench.fault(), Some(BoardFault::Slow.of(0)), "9 Hz");
     bench.frames(2);
     assert_eq!(bench.fault(), None);
 }
@@ -441,19 +444,19 @@ fn slow_frames_are_named_without_blaming_a_plate() {
 fn frozen_reset_and_changed_thresholds_void_the_zero() {
     let mut bench = Bench::tared();
     bench.sigma = [0.0; 12];
-    assert!(bench.frames_until(Fault::BoardFrozen, 15) > 10);
+    assert!(bench.frames_until(BoardFault::Frozen.of(0), 15) > 10);
     bench.sigma = [0.7; 12];
     bench.frame();
     assert_eq!(bench.fault(), Some(Fault::ZeroInvalid));
 
     let mut bench = Bench::tared();
     (bench.drop, bench.sigma) = ([IDLE; 12], [0.0; 12]);
-    assert_eq!(bench.frames_until(Fault::BoardReset, 1), 1);
+    assert_eq!(bench.frames_until(BoardFault::Reset.of(0), 1), 1);
     assert!(!bench.cover.zero_valid());
 
     let mut bench = Bench::tared();
     bench.thresholds = 41;
-    assert_eq!(bench.frames_until(Fault::BoardThresholds, 1), 1);
+    assert_eq!(bench.frames_until(BoardFault::Thresholds.of(0), 1), 1);
     assert!(!bench.cover.zero_valid());
 }
 
@@ -462,9 +465,9 @@ fn re_enumeration_voids_zero_and_gain() {
     let mut bench = Bench::tared();
     let at_ns = bench.now_ns;
     bench.cover.event(0, &BoardEvent::Closed { at_ns, why: CloseReason::Disconnected });
-    assert_eq!(bench.fault(), Some(Fault::BoardLost));
+    assert_eq!(bench.fault(), Some(BoardFault::Lost.of(0)));
     bench.cover.event(0, &BoardEvent::OpenFailed { at_ns, why: OpenFailure::NotFound });
-    assert_eq!(bench.fault(), Some(Fault::BoardLost));
+    assert_eq!(bench.fault(), Some(BoardFault::Lost.of(0)));
     bench.cover.event(0, &BoardEvent::Opened { at_ns });
     bench.frames(2);
     assert_eq!(bench.fault(), Some(Fault::ZeroInvalid));
@@ -494,14 +497,14 @@ fn faults_of_one_taxel_are_found_in_their_time() {
 
     let mut bench = Bench::tared();
     bench.drop = [6.0; 12];
-    assert_eq!(bench.frames_until(Fault::BoardCommonMode, COMMON_MODE_FRAMES + 3), COMMON_MODE_FRAMES);
+    assert_eq!(bench.frames_until(BoardFault::CommonMode.of(0), COMMON_MODE_FRAMES + 3), COMMON_MODE_FRAMES);
 }
 
 #[test]
 fn a_sagging_supply_is_found_though_taxels_shift_unevenly() {
     let mut bench = Bench::tared();
     bench.drop = core::array::from_fn(|e| 17.0 + 0.6 * e as f64);
-    assert_eq!(bench.frames_until(Fault::BoardCommonMode, COMMON_MODE_FRAMES + 3), COMMON_MODE_FRAMES);
+    assert_eq!(bench.frames_until(BoardFault::CommonMode.of(0), COMMON_MODE_FRAMES + 3), COMMON_MODE_FRAMES);
 }
 
 #[test]

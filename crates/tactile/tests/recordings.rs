@@ -1,7 +1,7 @@
 //! The recordings of a stock board: counts, inverse, chunking, faults with their times.
 #![expect(clippy::unwrap_used, reason = "tests")]
 
-use moca_msgs::Fault;
+use moca_msgs::{BoardFault, Fault};
 use moca_tactile::{Cover, CoverConfig};
 use moca_tactile::{
     Firmware,
@@ -135,7 +135,7 @@ fn first_fault(name: &str, fault: Fault) -> Option<u64> {
 
 #[test]
 fn frozen_data_is_found_within_15_frames() {
-    let at_ns = first_fault("datastream-2020-i2c-lost", Fault::BoardFrozen).unwrap();
+    let at_ns = first_fault("datastream-2020-i2c-lost", BoardFault::Frozen.of(0)).unwrap();
     let mut frames_since_change = 0;
     let mut last = [0; 11];
     let mut frames = 0;
@@ -153,7 +153,7 @@ fn frozen_data_is_found_within_15_frames() {
 
 #[test]
 fn a_reset_chip_is_found_in_the_first_zero_frame() {
-    let at_ns = first_fault("datastream-2020-chip-reset", Fault::BoardReset).unwrap();
+    let at_ns = first_fault("datastream-2020-chip-reset", BoardFault::Reset.of(0)).unwrap();
     let mut zero_frame_ns = None;
     replay("datastream-2020-chip-reset", |arrival_ns, cover| {
         let started = cover.boards().next().unwrap().stats().frames_good > 0;
@@ -166,8 +166,8 @@ fn a_reset_chip_is_found_in_the_first_zero_frame() {
 
 #[test]
 fn changed_thresholds_are_a_fault_of_the_stream() {
-    assert!(first_fault("datastream-2020-i2c-lost", Fault::BoardThresholds).is_some());
-    assert!(first_fault("datastream-2020", Fault::BoardThresholds).is_none());
+    assert!(first_fault("datastream-2020-i2c-lost", BoardFault::Thresholds.of(0)).is_some());
+    assert!(first_fault("datastream-2020", BoardFault::Thresholds.of(0)).is_none());
 }
 
 #[test]
@@ -177,7 +177,7 @@ fn a_host_stall_discards_old_data_and_silence_shows_meanwhile() {
     let cover = replay("datastream-2020-host-stall", |arrival_ns, cover| {
         if arrival_ns - last_ns > 500_000_000 && last_ns > 0 {
             let mut before = cover.clone();
-            silent |= before.poll(arrival_ns).fault == Some(Fault::BoardSilent);
+            silent |= before.poll(arrival_ns).fault == Some(BoardFault::Silent.of(0));
         }
         last_ns = arrival_ns;
     });

@@ -1,7 +1,7 @@
 //! The line of our own firmware, on what that firmware sent in its simulation (`firmware-sim record`).
 #![allow(clippy::unwrap_used, clippy::panic, reason = "a test that cannot go on has to stop")]
 
-use moca_msgs::Fault;
+use moca_msgs::BoardFault;
 use moca_tactile::board::{BoardMonitor, Diagnosis, MAX_ELECTRODES, SampledFrame};
 use moca_tactile::datastream;
 use moca_tactile::touchline::{BadLine, Content, Flags, Line, emit, is_note, parse};
@@ -171,7 +171,7 @@ impl Continued {
         frames(&mut self.board, &bytes, self.now_ns)
     }
 
-    fn fault(&self) -> Option<Fault> {
+    fn fault(&self) -> Option<BoardFault> {
         self.board.fault(self.now_ns)
     }
 }
@@ -193,10 +193,10 @@ fn a_torn_line_costs_one_frame_and_a_lost_one_is_counted() {
 #[test]
 fn each_flag_is_a_fault_of_its_own_and_ends_with_it() {
     for (flag, fault) in [
-        (Flags::BUS_FAULT, Some(Fault::BoardFrozen)),
-        (Flags::CHIP_RESET, Some(Fault::BoardReset)),
-        (Flags::OVER_CURRENT, Some(Fault::BoardChip)),
-        (Flags::OUT_OF_RANGE, Some(Fault::BoardChip)),
+        (Flags::BUS_FAULT, Some(BoardFault::Frozen)),
+        (Flags::CHIP_RESET, Some(BoardFault::Reset)),
+        (Flags::OVER_CURRENT, Some(BoardFault::Chip)),
+        (Flags::OUT_OF_RANGE, Some(BoardFault::Chip)),
         (Flags::DROPPED, None),
         (Flags::NEW, None),
     ] {
@@ -225,7 +225,7 @@ fn jump_of_clock_or_number_is_a_restart_until_16_lines_agree() {
         spoil(&mut stream.next);
         for line in 0..15 {
             assert_eq!(stream.send(|_| {}), [], "{name}, line {line}");
-            assert_eq!(stream.fault(), Some(Fault::BoardReset), "{name}, line {line}");
+            assert_eq!(stream.fault(), Some(BoardFault::Reset), "{name}, line {line}");
         }
         for _ in 0..3 {
             stream.send(|_| {});
@@ -277,7 +277,7 @@ fn repeated_number_is_refused_and_nothing_else_is_silence() {
         // a stamp of its own, and other values
         assert_eq!(stream.send(|line| line.sequence = number), [], "line {i}");
     }
-    assert_eq!(stream.fault(), Some(Fault::BoardSilent));
+    assert_eq!(stream.fault(), Some(BoardFault::Silent));
     let after = *stream.board.stats();
     assert_eq!((after.frames_bad - before.frames_bad, after.frames_good - before.frames_good), (31, 0));
 }

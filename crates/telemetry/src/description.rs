@@ -105,9 +105,9 @@ impl RobotDescription {
         !self.taxels.is_empty()
     }
 
-    /// A fault with its remedy and, where there are several, its board (0 is the first) with port and taxels.
-    pub fn fault_text(&self, fault: Fault, board: Option<u8>) -> String {
-        let board = board.and_then(|board| self.board_name(board));
+    /// A fault with its remedy and, where there are several boards, its board with port and taxels.
+    pub fn fault_text(&self, fault: Fault) -> String {
+        let board = fault.board().and_then(|board| self.board_name(board));
         board.map_or_else(|| fault.to_string(), |board| format!("{fault} {board}."))
     }
 
@@ -154,6 +154,7 @@ impl RobotDescription {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use moca_msgs::BoardFault;
 
     #[test]
     fn fault_names_its_board_where_there_are_two() {
@@ -163,11 +164,11 @@ mod tests {
         let port = |text: &str| parameter("board.port", ParameterValue::Text(text.into()));
         let of_taxel =
             |numbers: &[f64]| parameter("robot.cover.board", ParameterValue::Numbers(numbers.into()));
-        let told = |robot: &RobotDescription, board| robot.fault_text(Fault::BoardLost, board);
         robot.parameters = vec![port("name:left, name:right"), of_taxel(&[1.0, 2.0, 2.0])];
-        assert_eq!(told(&robot, Some(1)), format!("{} Board 2 (name:right) with T2 T3.", Fault::BoardLost));
-        assert_eq!(told(&robot, None), Fault::BoardLost.to_string());
+        let [first, second] = [0, 1].map(|board| BoardFault::Lost.of(board));
+        assert_eq!(robot.fault_text(second), format!("{second} Board 2 (name:right) with T2 T3."));
+        assert_eq!(robot.fault_text(Fault::ZeroInvalid), Fault::ZeroInvalid.to_string());
         robot.parameters = vec![port("auto"), of_taxel(&[])];
-        assert_eq!(told(&robot, Some(0)), Fault::BoardLost.to_string());
+        assert_eq!(robot.fault_text(first), first.to_string());
     }
 }

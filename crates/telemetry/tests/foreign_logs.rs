@@ -7,7 +7,7 @@
 )]
 
 use mcap::{Compression, MessageStream, WriteOptions, Writer};
-use moca_msgs::{Fault, Mode, Sample, TaxelReading, TaxelStatus};
+use moca_msgs::{BoardFault, Mode, Sample, TaxelReading, TaxelStatus};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::log::{LogError, LogFile, LogReader, LogWriter, Meta, Record};
 use std::io::Cursor;
@@ -16,7 +16,7 @@ use std::path::Path;
 const FORM: &str = "moca-s/4";
 
 fn sample(tick: u32) -> Sample {
-    let fault = (tick >= 2000).then_some(Fault::BoardLost);
+    let fault = (tick >= 2000).then_some(BoardFault::Lost.of(0));
     let mode = if fault.is_some() { Mode::ProtectiveStop } else { Mode::Impedance };
     let time_ns = u64::from(tick) * 1_000_000;
     let mut sample = Sample { tick: u64::from(tick), time_ns, mode, fault, ..Sample::default() };

@@ -8,8 +8,8 @@
 
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{
-    ArmLink, ArmMode, ContactEvent, ContactReaction, Fault, Link, Mode, Sample, SpeedLimit, SpeedLimitReason,
-    TaxelReading, TaxelStatus,
+    ArmLink, ArmMode, BoardFault, ContactEvent, ContactReaction, Fault, Link, Mode, Sample, SpeedLimit,
+    SpeedLimitReason, TaxelReading, TaxelStatus,
     board::{Diagnosis, OpenFailure},
     target::{TargetKind, TargetPhase, TargetState},
 };
@@ -82,10 +82,9 @@ fn sample(tick: u32) -> Sample {
         mode: if tick % 500 < 400 { Mode::Impedance } else { Mode::ProtectiveStop },
         fault: match tick % 500 {
             0..400 => None,
-            400..450 => Some(Fault::BoardLost),
+            400..450 => Some(BoardFault::Lost.of(1)),
             _ => Some(Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Stuck }),
         },
-        fault_board: (400..450).contains(&(tick % 500)).then_some(1),
         board: if tick % 500 < 400 { Diagnosis::Frames } else { Diagnosis::NotOpen(OpenFailure::Busy) },
         base_pose_world: [value(), value(), value()],
         base_velocity_world: [value(), value(), value()],
@@ -378,7 +377,7 @@ fn a_log_is_looked_into_anywhere_and_only_what_is_shown_is_read() {
     let mut fault = None;
     for tick in 0..60_000 {
         if tick == 30_000 {
-            fault = Some(Fault::BoardLost);
+            fault = Some(BoardFault::Lost.of(0));
         }
         let mode = if fault.is_some() { Mode::ProtectiveStop } else { Mode::Impedance };
         writer.sample(&Sample { mode, fault, ..calm(tick) }).unwrap();
@@ -391,7 +390,7 @@ fn a_log_is_looked_into_anywhere_and_only_what_is_shown_is_read() {
     // A jump to anywhere knows mode and fault, which changed long before.
     let late = log.samples(45_000_000_000, 46_000_000_000).unwrap();
     assert_eq!((late.len(), late[0].tick, late[50].tick), (51, 45_000, 46_000));
-    assert!(late.iter().all(|s| (s.mode, s.fault) == (Mode::ProtectiveStop, Some(Fault::BoardLost))));
+    assert!(late.iter().all(|s| (s.mode, s.fault) == (Mode::ProtectiveStop, Some(BoardFault::Lost.of(0)))));
     let early = log.samples(0, 1_000_000_000).unwrap();
     assert!(
         early.iter().all(|s| (s.mode, s.fault) == (Mode::Impedance, None)),
@@ -400,7 +399,7 @@ fn a_log_is_looked_into_anywhere_and_only_what_is_shown_is_read() {
     let whole = log.overview().unwrap().clone();
     assert_eq!(whole.spans.len(), 60);
     let marked: Vec<_> = whole.marks.iter().map(|mark| (mark.time_ns, mark.what)).collect();
-    assert!(marked.contains(&(30_000_000_000, Happening::Fault(Fault::BoardLost))), "{marked:?}");
+    assert!(marked.contains(&(30_000_000_000, Happening::Fault(BoardFault::Lost.of(0)))), "{marked:?}");
 
     // A log that was not finished: the same from its chunks.
     let bytes = std::fs::read(&file.0).unwrap();
@@ -719,10 +718,18 @@ fn existing_file_is_kept_and_foreign_file_refused() {
 
 #[test]
 fn the_fault_channel_says_what_to_do() {
-    let change = records::FaultChange::new(1, Some(Fault::BoardLost), None).unwrap();
-    assert_eq!((change.code.as_str(), change.remedy.as_str()), ("board-lost", Fault::BoardLost.remedy()));
-    assert_eq!(change.fault().unwrap(), Some(Fault::BoardLost));
-    assert_eq!(records::FaultChange::new(1, None, None).unwrap().fault().unwrap(), None);
+    let change = records::FaultChange::new(1, Some(BoardFault::Lost.of(0))).unwrap();
+    assert_eq!(
+        (change.code.as_str(), change.remedy.as_str()),
+        ("board-lost", BoardFault::Lost.of(0).remedy())
+    );
+    assert_eq!(change.fault().unwrap(), Some(BoardFault::Lost.of(0)));
+    assert_eq!(records::FaultChange::new(1, None).unwrap().fault().unwrap(), None);
+    // The words of logs that had the board beside the fault, and of those before, which had one board.
+    let change = records::FaultChange::new(1, Some(BoardFault::Slow.of(1))).unwrap();
+    assert_eq!((change.board, change.json.as_str()), (2, "\"BoardSlow\""));
+    assert_eq!(change.fault().unwrap(), Some(BoardFault::Slow.of(1)));
+    assert_eq!(records::FaultChange { board: 0, ..change }.fault().unwrap(), Some(BoardFault::Slow.of(0)));
 }
 
 #[test]

@@ -137,7 +137,7 @@ fn count(overview: &Overview, wanted: impl Fn(Happening) -> bool) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use moca_msgs::{Fault, Sample, TaxelReading, TaxelStatus};
+    use moca_msgs::{BoardFault, Sample, TaxelReading, TaxelStatus};
     use moca_telemetry::RobotDescription;
     use moca_telemetry::audit::Asked;
     use moca_telemetry::log::{LogWriter, Meta, SerialBytes};
@@ -150,7 +150,7 @@ mod tests {
         let mut log = LogWriter::new(&mut bytes, &meta).unwrap();
         for tick in (0..150_000_u64).filter(|tick| !(70_000..70_900).contains(tick)) {
             let (mode, fault) = match tick % 40_000 {
-                30_000..33_000 => (Mode::ProtectiveStop, Some(Fault::BoardLost)),
+                30_000..33_000 => (Mode::ProtectiveStop, Some(BoardFault::Lost.of(0))),
                 _ => (Mode::Impedance, None),
             };
             let time_ns = tick * 1_000_000;

@@ -71,7 +71,7 @@ impl fmt::Display for Told<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use moca_msgs::{Fault, Mode, Sample, TaxelReading, TaxelStatus};
+    use moca_msgs::{BoardFault, Fault, Mode, Sample, TaxelReading, TaxelStatus};
     use moca_telemetry::audit::Asked;
 
     /// A sample each 20 ms with these forces.
@@ -89,13 +89,13 @@ mod tests {
     #[test]
     fn stops_are_told_with_time_cause_and_remedy() {
         let told = told((0..500).map(|shown| match shown {
-            100..200 => (shown, Mode::ProtectiveStop, Some(Fault::BoardLost), [0.0; 2]),
+            100..200 => (shown, Mode::ProtectiveStop, Some(BoardFault::Lost.of(0)), [0.0; 2]),
             400.. => (shown, Mode::ProtectiveStop, Some(Fault::OperatorStop), [0.0; 2]),
             _ => (shown, Mode::Impedance, None, [0.0; 2]),
         }));
         assert!(told.contains("stops        2"), "{told}");
         let first = "2.00 s  2025-11-25 12:03:06 UTC  protective stop for 2.0 s  board-lost:";
-        assert!(told.contains(first) && told.contains(Fault::BoardLost.remedy()), "{told}");
+        assert!(told.contains(first) && told.contains(BoardFault::Lost.of(0).remedy()), "{told}");
         assert!(told.contains("protective stop until the end  operator-stop:"), "{told}");
         assert!(told.contains("touches      0\n") && told.contains("gaps         none"), "{told}");
     }

@@ -8,7 +8,7 @@ use crate::runtime::clients::description;
 use crate::runtime::notice::{Notice, Summary};
 use moca_msgs::board::Diagnosis;
 use moca_msgs::protection::ContactPhase;
-use moca_msgs::{Fault, Law, Mode, Sample, SpeedLimitReason, seconds};
+use moca_msgs::{BoardFault, Fault, Law, Mode, Sample, SpeedLimitReason, seconds};
 use moca_telemetry::RobotDescription;
 use std::fmt;
 use std::sync::Arc;
@@ -92,7 +92,7 @@ impl Report {
                 (_, Some(_)) => Level::Warning,
                 (_, None) => Level::Info,
             };
-            let why = why(sample.fault, |fault| self.robot.fault_text(fault, sample.fault_board));
+            let why = why(sample.fault, |fault| self.robot.fault_text(fault));
             let more = self.about_starving(before, sample);
             let text = format!("{} mode: {}{why}{more}", at(time_s), sample.mode.name());
             lines.push(Line { level, text });
@@ -132,15 +132,15 @@ impl Report {
 
     /// Returns advice about a PC that was too busy, and the number of times that a simulated robot resumed.
     fn about_starving(&mut self, before: Option<Fault>, sample: &Sample) -> String {
-        let starved = Some(Fault::HostStarved);
+        let starved = |fault| matches!(fault, Some(Fault::Board { fault: BoardFault::HostStarved, .. }));
         let mut text = String::new();
-        if sample.fault == starved && self.rights_missing {
+        if starved(sample.fault) && self.rights_missing {
             text += " This run has no real-time rights: `mocad doctor` says how to get them.";
         }
-        if sample.fault == starved && self.recovers {
+        if starved(sample.fault) && self.recovers {
             text += " A simulated robot resumes by itself.";
         }
-        if before == starved && sample.mode == Mode::Ready && self.recovers {
+        if starved(before) && sample.mode == Mode::Ready && self.recovers {
             self.recovered += 1;
             text += &format!(" (this PC was too busy; resumed, {} so far)", times(self.recovered));
         }
@@ -367,7 +367,11 @@ mod tests {
         let mut report = Report::new(Level::Info);
         let modes = [
             (Mode::Impedance, None, "] impedance | "),
-            (Mode::ProtectiveStop, Some(Fault::HostStarved), "] protective stop (host-starved) | "),
+            (
+                Mode::ProtectiveStop,
+                Some(BoardFault::HostStarved.of(0)),
+                "] protective stop (host-starved) | ",
+            ),
             (Mode::Fault, Some(Fault::PlantLost), "] fault (plant-lost) | "),
         ];
         for (time_s, (mode, fault, expected)) in (0..).zip(modes) {
@@ -383,7 +387,7 @@ mod tests {
             let mut report = Report::new(Level::Info);
             let step = Step { what: "SCHED_FIFO 40".into(), result, is_priority: true };
             lines_of(&mut report, Notice::RealTime(&step));
-            let text = lines(&mut report, 0, Mode::ProtectiveStop, Some(Fault::HostStarved));
+            let text = lines(&mut report, 0, Mode::ProtectiveStop, Some(BoardFault::HostStarved.of(0)));
             assert_eq!(text.contains("no real-time rights"), missing, "{text}");
         }
     }
@@ -393,7 +397,7 @@ mod tests {
         let mut report = Report::new(Level::Info);
         lines_of(&mut report, Notice::Begins { config: &Config::default(), lock_step: false });
         for expected in ["resumed, once so far", "resumed, 2 times so far"] {
-            let stop = lines(&mut report, 1, Mode::ProtectiveStop, Some(Fault::HostStarved));
+            let stop = lines(&mut report, 1, Mode::ProtectiveStop, Some(BoardFault::HostStarved.of(0)));
             assert!(stop.contains("resumes by itself"), "{stop}");
             let ready = lines(&mut report, 1, Mode::Ready, None);
             assert!(ready.contains(expected), "{ready}");

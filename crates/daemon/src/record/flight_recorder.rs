@@ -47,7 +47,7 @@ fn dated(name: &str) -> Option<(u64, &str)> {
     let (day, time) = stamp.split_once('T')?;
     let at = humantime::parse_rfc3339(&format!("{day}T{}Z", time.replace('-', ":"))).ok()?;
     let at_ms = u64::try_from(at.duration_since(UNIX_EPOCH).ok()?.as_millis()).ok()?;
-    Fault::CODES.contains(&cause).then_some((at_ms, cause))
+    Fault::has_code(cause).then_some((at_ms, cause))
 }
 
 /// Keeps the last [`KEPT_NS`] and writes them at every edge into a stop by a fault.
@@ -320,6 +320,7 @@ mod tests {
     use super::*;
     use crate::record::tick_blocks::decode;
     use crate::record::tick_log::tests::{input, state};
+    use moca_msgs::BoardFault;
     use moca_telemetry::log::{LogReader, Record, read_log};
 
     fn recorder(name: &str) -> FlightRecorder {
@@ -373,7 +374,7 @@ mod tests {
         for tick in 0..25_000 {
             assert_eq!(tell(&mut recorder, tick, tick, None), None);
         }
-        let path = tell(&mut recorder, 25_000, 25_000, Some(Fault::BoardLost)).unwrap();
+        let path = tell(&mut recorder, 25_000, 25_000, Some(BoardFault::Lost.of(0))).unwrap();
         let name = path.file_name().unwrap().to_string_lossy().into_owned();
         let folder = recorder.folder.clone();
         // Who goes waits until the file is whole.
@@ -402,7 +403,7 @@ mod tests {
             }
             tell(&mut recorder, tick, tick, None);
         }
-        let path = tell(&mut recorder, 20_001, 20_001, Some(Fault::BoardLost)).unwrap();
+        let path = tell(&mut recorder, 20_001, 20_001, Some(BoardFault::Lost.of(0))).unwrap();
         let folder = recorder.folder.clone();
         drop(recorder);
         let records = LogReader::open(&path).unwrap();
@@ -423,7 +424,7 @@ mod tests {
         recorder.writer = Writer { jobs, say, said, thread: None };
         let mut rooms = Vec::new();
         for tick in 0..60_000 {
-            let fault = (tick % 20_000 == 19_999).then_some(Fault::BoardSilent);
+            let fault = (tick % 20_000 == 19_999).then_some(BoardFault::Silent.of(0));
             tell(&mut recorder, tick, tick, fault);
             let Kept { samples, ticks, states, asked: _ } = &recorder.kept;
             assert!(samples.len() <= 11_001 && ticks.len() <= 11_001 && states.len() <= 12);
@@ -448,7 +449,7 @@ mod tests {
             for tick in lost..3000 {
                 tell(&mut recorder, tick, tick, None);
             }
-            let path = tell(&mut recorder, 3000, 3000, Some(Fault::BoardLost)).unwrap();
+            let path = tell(&mut recorder, 3000, 3000, Some(BoardFault::Lost.of(0))).unwrap();
             let folder = recorder.folder.clone();
             drop(recorder);
             let [states, ticks, _] = held(&path);
@@ -464,9 +465,9 @@ mod tests {
         let (jobs, _disk) = sync_channel(1);
         let (say, said) = channel();
         recorder.writer = Writer { jobs, say, said, thread: None };
-        assert!(recorder.add(&sample(1, Some(Fault::BoardLost))).is_some());
+        assert!(recorder.add(&sample(1, Some(BoardFault::Lost.of(0)))).is_some());
         assert_eq!(recorder.trouble(), None);
-        assert_eq!(recorder.add(&sample(2, Some(Fault::BoardSilent))), None, "there is no such file");
+        assert_eq!(recorder.add(&sample(2, Some(BoardFault::Silent.of(0)))), None, "there is no such file");
         let said = recorder.trouble().expect("a file is missing");
         assert!(said.contains("board-silent") && said.contains("the disk is behind"), "{said}");
         fs::remove_dir_all(&recorder.folder).unwrap();
@@ -489,14 +490,14 @@ mod tests {
         for tick in 0..12_000 {
             assert_eq!(recorder.add(&sample(tick, None)), None);
         }
-        let path = recorder.add(&sample(12_000, Some(Fault::BoardLost))).unwrap();
-        assert_eq!(recorder.add(&sample(12_001, Some(Fault::BoardLost))), None);
+        let path = recorder.add(&sample(12_000, Some(BoardFault::Lost.of(0)))).unwrap();
+        assert_eq!(recorder.add(&sample(12_001, Some(BoardFault::Lost.of(0)))), None);
         recorder.add(&sample(12_002, None));
         assert_eq!(recorder.add(&sample(12_003, Some(Fault::OperatorStop))), None);
         settled(&recorder);
         let log = read_log(&path).unwrap();
         assert_eq!((log.samples.first().unwrap().tick, log.samples.last().unwrap().tick), (2000, 12_000));
-        assert_eq!((log.samples.last().unwrap().fault, log.cut), (Some(Fault::BoardLost), None));
+        assert_eq!((log.samples.last().unwrap().fault, log.cut), (Some(BoardFault::Lost.of(0)), None));
         fs::remove_dir_all(&recorder.folder).unwrap();
     }
 
@@ -508,9 +509,9 @@ mod tests {
         // The board is silent every five seconds, and lost once.
         for round in 0..60 {
             recorder.add(&sample(5000 * round, None));
-            files.extend(recorder.add(&sample(5000 * round + 500, Some(Fault::BoardSilent))));
+            files.extend(recorder.add(&sample(5000 * round + 500, Some(BoardFault::Silent.of(0)))));
             if round == 30 {
-                lost = recorder.add(&sample(5000 * round + 600, Some(Fault::BoardLost)));
+                lost = recorder.add(&sample(5000 * round + 600, Some(BoardFault::Lost.of(0))));
             }
             // Without a loop's pace the disk would be behind.
             settled(&recorder);
@@ -531,7 +532,7 @@ mod tests {
     fn a_folder_that_cannot_be_written_is_said_at_once() {
         let mut recorder = recorder("gone");
         fs::remove_dir_all(&recorder.folder).unwrap();
-        recorder.add(&sample(1, Some(Fault::BoardLost))).unwrap();
+        recorder.add(&sample(1, Some(BoardFault::Lost.of(0)))).unwrap();
         let said = recorder.writer.said.recv().unwrap();
         assert!(said.contains("cannot create the log") && said.contains("board-lost"), "{said}");
 

@@ -197,7 +197,6 @@ pub(super) mod tests {
             state_check: StateCheck::default(),
             supervisor: supervisor(&config),
             arm_released: false,
-            blamed: (None, None),
             motion: motion(&config).unwrap().state(),
             cover: None,
         }

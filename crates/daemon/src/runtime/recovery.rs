@@ -3,12 +3,12 @@
 
 use crate::config::Config;
 use crate::robot::PlantKind;
-use moca_msgs::{Fault, Mode, Request, Sample};
+use moca_msgs::{BoardFault, Fault, Mode, Request, Sample};
 
 /// Ticks between two requests of its own.
 const EVERY_TICKS: u64 = 100;
 
-/// Asks for what ends a stop for [`Fault::HostStarved`]: a tare if one is owed, a resume, and arming if the robot was armed.
+/// Asks for what ends a stop for [`BoardFault::HostStarved.of(0)`]: a tare if one is owed, a resume, and arming if the robot was armed.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Recovery {
     allowed: bool,
@@ -65,7 +65,7 @@ impl Recovery {
         if !self.allowed {
             return;
         }
-        let starved = sample.fault == Some(Fault::HostStarved);
+        let starved = matches!(sample.fault, Some(Fault::Board { fault: BoardFault::HostStarved, .. }));
         let before = std::mem::replace(&mut self.before, sample.mode);
         match (sample.mode, self.stopped) {
             (Mode::Impedance | Mode::FollowMe, stopped) => {
@@ -124,7 +124,7 @@ mod tests {
         far_joint: None,
         touch: None,
     };
-    const STARVED: Facts = Facts { cover_fault: Some(Fault::HostStarved), ..GOOD };
+    const STARVED: Facts = Facts { cover_fault: Some(BoardFault::HostStarved.of(0)), ..GOOD };
 
     struct Bench {
         supervisor: Supervisor,
@@ -197,7 +197,7 @@ mod tests {
 
     #[test]
     fn no_other_stop_is_ended() {
-        for fault in [Fault::BoardSilent, Fault::BoardLost, Fault::BoardSlow] {
+        for fault in [BoardFault::Silent.of(0), BoardFault::Lost.of(0), BoardFault::Slow.of(0)] {
             let mut bench = armed();
             bench.run(50, Facts { cover_fault: Some(fault), ..GOOD }, None);
             assert_eq!(bench.run(500, GOOD, None), Mode::ProtectiveStop, "{fault:?}");

@@ -4,7 +4,7 @@ use crate::study::Answer;
 use anyhow::{Context, ensure};
 use moca_experiments::count;
 use moca_figures::progress::Progress;
-use moca_msgs::{Fault, nanoseconds, seconds};
+use moca_msgs::{BoardFault, nanoseconds, seconds};
 use moca_tactile::Firmware;
 use moca_tactile::board::{BoardMonitor, Diagnosis, MAX_ELECTRODES, STALL_GAP_NS, SampledFrame};
 use moca_tactile::datastream::{ELECTRODES, FDAT_MAX};
@@ -224,12 +224,12 @@ impl Analysis {
     fn stream_faults(&mut self) {
         let flags = self.monitor.flags();
         let faults = [
-            (self.monitor.is_all_zero(), "all_zero", Fault::BoardReset),
-            (self.monitor.is_frozen(), "frozen", Fault::BoardFrozen),
-            (self.monitor.thresholds_changed(), "thresholds", Fault::BoardThresholds),
-            (flags.has(Flags::CHIP_RESET), "chip_reset", Fault::BoardReset),
-            (flags.bus_fault(), "bus", Fault::BoardFrozen),
-            (flags.has(Flags::OVER_CURRENT), "over_current", Fault::BoardChip),
+            (self.monitor.is_all_zero(), "all_zero", BoardFault::Reset),
+            (self.monitor.is_frozen(), "frozen", BoardFault::Frozen),
+            (self.monitor.thresholds_changed(), "thresholds", BoardFault::Thresholds),
+            (flags.has(Flags::CHIP_RESET), "chip_reset", BoardFault::Reset),
+            (flags.bus_fault(), "bus", BoardFault::Frozen),
+            (flags.has(Flags::OVER_CURRENT), "over_current", BoardFault::Chip),
         ];
         for (i, (present, kind, fault)) in faults.into_iter().enumerate() {
             // a reset chip's zeros do not change either: one cause, one fault
@@ -333,7 +333,7 @@ fn as_text(report: &Report) -> String {
 mod tests {
     use super::*;
     use moca_experiments::TAXELS;
-    use moca_sim::board::{BoardFault, VirtualBoard, VirtualBoardConfig};
+    use moca_sim::board::{BoardFailure, VirtualBoard, VirtualBoardConfig};
 
     fn report(name: &str, timed: bool) -> Report {
         let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../tests/fixtures/recordings");
@@ -404,7 +404,7 @@ mod tests {
     }
 
     /// 4 s of a virtual board, read each millisecond; `fault` strikes after 2 s.
-    fn record(sketch: Firmware, fault: Option<BoardFault>) -> (Vec<u8>, Vec<Read>) {
+    fn record(sketch: Firmware, fault: Option<BoardFailure>) -> (Vec<u8>, Vec<Read>) {
         let mut board =
             VirtualBoard::new(VirtualBoardConfig { firmware: sketch, ..Default::default() }).unwrap();
         let (mut bytes, mut reads) = (Vec::new(), Vec::new());
@@ -434,9 +434,9 @@ mod tests {
             let untimed = analyse(&bytes, None, |_| ());
             assert_eq!(untimed.frames_good, report.frames_good);
 
-            let (bytes, reads) = record(sketch, Some(BoardFault::ChipReset));
+            let (bytes, reads) = record(sketch, Some(BoardFailure::ChipReset));
             assert!(kinds(&analyse(&bytes, Some(&reads), |_| ())).contains(&"all_zero"));
-            let (bytes, reads) = record(sketch, Some(BoardFault::I2cLost));
+            let (bytes, reads) = record(sketch, Some(BoardFailure::I2cLost));
             let report = analyse(&bytes, Some(&reads), |_| ());
             assert!(kinds(&report).contains(&"frozen"), "{report:?}");
             assert_eq!(

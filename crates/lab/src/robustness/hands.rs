@@ -8,7 +8,7 @@ use moca_lockstep::{LockStep, MemoryBoards};
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::target::{Target, TimedTarget, TwistAxes};
 use moca_msgs::{Law, Mode, ParameterValues, Request, Sample};
-use moca_sim::board::BoardFault;
+use moca_sim::board::BoardFailure;
 use serde::Serialize;
 
 /// Requests of one burst, one a tick: more than any queue on their way holds.
@@ -167,7 +167,7 @@ impl Hands {
             3 => Some(Request::SelectLaw(Law::FollowMe)),
             4 | 5 => Some(Request::SelectLaw(Law::Impedance)),
             6 if self.heal_at.is_none() => {
-                let faults = [BoardFault::I2cLost, BoardFault::ChipReset, BoardFault::Silent];
+                let faults = [BoardFailure::I2cLost, BoardFailure::ChipReset, BoardFailure::Silent];
                 world.feed[0].board().set_fault(Some(faults[self.random.below(faults.len())]));
                 self.heal_at = Some(self.after(tick, 100, 3000));
                 self.deeds.board_faults += 1;

@@ -61,7 +61,7 @@ impl Row {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use moca_msgs::Fault;
+    use moca_msgs::BoardFault;
 
     #[test]
     fn row_shows_nothing_old_of_a_robot_that_is_away() {
@@ -78,8 +78,8 @@ mod tests {
         let row = |glance| Row { name: "one".into(), seen: Ok(glance) };
         assert!((row(glance).health() - 0.75).abs() < 1e-6);
         assert_eq!(row(glance).contact(), ["0.0 N", "9 of 12 taxels", "12 ms old"]);
-        let fault = Glance { mode: Mode::Fault, fault: Some(Fault::BoardLost), ..glance };
-        assert!(row(fault).health() < 0.01 && row(fault).trouble().contains(Fault::BoardLost.remedy()));
+        let fault = Glance { mode: Mode::Fault, fault: Some(BoardFault::Lost.of(0)), ..glance };
+        assert!(row(fault).health() < 0.01 && row(fault).trouble().contains(BoardFault::Lost.of(0).remedy()));
         let arm_alone = Glance { taxels: 0, taxels_ok: 0, ..glance };
         assert!((row(arm_alone).health() - 1.0).abs() < 1e-6);
         assert_eq!(row(Glance { cover_age_s: -1.0, ..glance }).contact()[2], "none yet");

@@ -220,13 +220,13 @@ fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String)
     };
     if model.recorded {
         let name = &model.robot.name;
-        let fault = sample.fault.map(|fault| model.robot.fault_text(fault, sample.fault_board));
+        let fault = sample.fault.map(|fault| model.robot.fault_text(fault));
         let fault = fault.map_or_else(String::new, |fault| format!(": {fault}"));
         let text = format!("A recorded run of {name}, then in mode {}{fault}", sample.mode.name());
         return (Some(theme::WARNING), text);
     }
     if let Some(fault) = sample.fault {
-        return (Some(theme::BAD), model.robot.fault_text(fault, sample.fault_board));
+        return (Some(theme::BAD), model.robot.fault_text(fault));
     }
     if !matches!(sample.board, Diagnosis::Frames | Diagnosis::NoBoard) {
         return (Some(theme::WARNING), model.robot.board_text(sample.board));

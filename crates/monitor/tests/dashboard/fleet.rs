@@ -6,7 +6,7 @@ use moca_monitor::{
     logic::fleet::Row,
     ui::{App, FleetWindow},
 };
-use moca_msgs::{Fault, Mode, Request};
+use moca_msgs::{BoardFault, Mode, Request};
 use moca_telemetry::net::fleet::Glance;
 use std::{cell::RefCell, rc::Rc};
 
@@ -79,11 +79,13 @@ fn fleet_list_shows_mode_fault_contact_and_age() {
         assert!(fleet.shows(text), "{text}");
     }
     assert!(fleet.shows("away") && fleet.shows("Connection refused"));
-    let stopped = Glance { fault: Some(Fault::BoardLost), ..glance(Mode::ProtectiveStop, 0.0) };
+    let stopped = Glance { fault: Some(BoardFault::Lost.of(0)), ..glance(Mode::ProtectiveStop, 0.0) };
     fleet.rows.borrow_mut()[0].seen = Ok(stopped);
     fleet.steps();
     assert!(
-        fleet.shows("protective stop") && fleet.shows(Fault::BoardLost.remedy()) && !fleet.shows("12.3 N")
+        fleet.shows("protective stop")
+            && fleet.shows(BoardFault::Lost.of(0).remedy())
+            && !fleet.shows("12.3 N")
     );
     assert!(!fleet.shows("STOP"), "the list only watches");
     assert!(fleet.asked().iter().all(Vec::is_empty));

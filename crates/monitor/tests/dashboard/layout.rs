@@ -3,7 +3,7 @@
 use crate::bench::{Bench, parameter, sample};
 use egui::{Rect, Role, Vec2};
 use egui_kittest::kittest::{NodeT, Queryable};
-use moca_msgs::{Fault, Mode, TaxelStatus};
+use moca_msgs::{BoardFault, Fault, Mode, TaxelStatus};
 use moca_telemetry::calibration::{CalibrationFit, CalibrationProgress, FittedModel};
 use moca_telemetry::{ParameterForm, net::Commander};
 
@@ -174,8 +174,8 @@ fn words_of_health_are_not_written_over_each_other() {
 #[test]
 fn no_button_moves_when_a_text_changes() {
     let faults = [
-        Fault::HostStarved,
-        Fault::BoardChip,
+        BoardFault::HostStarved.of(0),
+        BoardFault::Chip.of(0),
         Fault::ArmRefused,
         Fault::StateInvalid,
         Fault::TaxelInvalid { taxel: 9, status: TaxelStatus::Masked },

@@ -3,7 +3,8 @@
 use crate::bench::{Bench, parameter, sample};
 use egui_kittest::kittest::Queryable;
 use moca_msgs::{
-    ArmLink, ArmMode, ContactRow, Fault, Link, Mode, ParameterValues, Refusal, Request, Sample, TaxelStatus,
+    ArmLink, ArmMode, BoardFault, ContactRow, Fault, Link, Mode, ParameterValues, Refusal, Request, Sample,
+    TaxelStatus,
     board::{Diagnosis, OpenFailure},
 };
 use moca_telemetry::{
@@ -112,8 +113,8 @@ fn samples_that_stop_coming_are_shown_as_old() {
 #[test]
 fn fault_shows_remedy_and_names_taxel() {
     let mut bench = Bench::new();
-    bench.frames(Mode::ProtectiveStop, Some(Fault::BoardLost));
-    assert!(bench.shows(Fault::BoardLost.text()) && bench.shows(Fault::BoardLost.remedy()));
+    bench.frames(Mode::ProtectiveStop, Some(BoardFault::Lost.of(0)));
+    assert!(bench.shows(BoardFault::Lost.of(0).text()) && bench.shows(BoardFault::Lost.of(0).remedy()));
 }
 
 #[test]

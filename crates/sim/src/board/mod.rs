@@ -61,7 +61,7 @@ impl Default for VirtualBoardConfig {
 
 /// Fault of a board, as seen on the firmware.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum BoardFault {
+pub enum BoardFailure {
     /// I²C to the chip lost. Stock: good frames go on a little faster, FDAT frozen, thresholds garbage (newer sketch).
     /// Our own firmware says so, 50 times a second.
     I2cLost,
@@ -81,7 +81,7 @@ pub struct VirtualBoard {
     foam: Foam,
     foams: [FoamState; ELECTRODES],
     sensor: CoverSensor<ELECTRODES>,
-    fault: Option<BoardFault>,
+    fault: Option<BoardFailure>,
     frame: Frame,
     next_sample_ns: u64,
     read_ns: u64,
@@ -153,7 +153,7 @@ impl VirtualBoard {
     }
 
     /// Makes the board fail, or heals it.
-    pub fn set_fault(&mut self, fault: Option<BoardFault>) {
+    pub fn set_fault(&mut self, fault: Option<BoardFailure>) {
         self.fault = fault;
     }
 
@@ -190,7 +190,7 @@ impl VirtualBoard {
     fn hurried(&self, of_sketch_ns: u64) -> u64 {
         let normal_ns = of_sketch_ns * self.frame_period_ns / self.firmware.frame_period_ns();
         match self.fault {
-            Some(BoardFault::I2cLost) => normal_ns * I2C_LOST_PERCENT / 100,
+            Some(BoardFailure::I2cLost) => normal_ns * I2C_LOST_PERCENT / 100,
             _ => normal_ns,
         }
     }
@@ -214,7 +214,7 @@ impl VirtualBoard {
             return;
         };
         self.next_line += 1;
-        if self.fault == Some(BoardFault::Silent) {
+        if self.fault == Some(BoardFailure::Silent) {
             return;
         }
         let mut buffer = LineBuffer { bytes: [0; MAX_LINE_BYTES + 2], len: 0 };
@@ -225,17 +225,17 @@ impl VirtualBoard {
     /// The sketch's I²C read of all registers.
     fn read_chip(&mut self) {
         match self.fault {
-            Some(BoardFault::ChipReset) => {
+            Some(BoardFailure::ChipReset) => {
                 self.frame = Frame { dialect: self.frame.dialect, ..Frame::default() };
             }
-            Some(BoardFault::I2cLost) => {
+            Some(BoardFailure::I2cLost) => {
                 if self.firmware == Firmware::Stock2018 {
                     let garbage: [u8; MAX_COLUMNS] = [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12];
                     self.frame.touch_threshold = garbage;
                     self.frame.release_threshold = garbage;
                 }
             }
-            Some(BoardFault::Silent) | None => self.read_healthy_chip(),
+            Some(BoardFailure::Silent) | None => self.read_healthy_chip(),
         }
     }
 

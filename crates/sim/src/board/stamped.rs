@@ -1,7 +1,7 @@
 //! The board with our own firmware: each refresh of the chip one line, at the times that the firmware's simulation
 //! shows (`crates/firmware-sim`).
 
-use super::{BoardFault, FAR};
+use super::{BoardFailure, FAR};
 use crate::foam::{Foam, FoamState};
 use crate::sensor::CoverSensor;
 use moca_tactile::board::LEAST_TRANSPORT_NS;
@@ -106,7 +106,7 @@ impl StampedBoard {
         &mut self,
         now_ns: u64,
         force_n: &[f64],
-        fault: Option<BoardFault>,
+        fault: Option<BoardFailure>,
         sink: &mut impl FnMut(&[u8]),
     ) {
         loop {
@@ -151,19 +151,19 @@ impl StampedBoard {
         })
     }
 
-    fn read(&mut self, at_ns: u64, fault: Option<BoardFault>) {
-        if fault != Some(BoardFault::ChipReset) {
+    fn read(&mut self, at_ns: u64, fault: Option<BoardFailure>) {
+        if fault != Some(BoardFailure::ChipReset) {
             self.reset_since_ns = None;
         }
         match fault {
-            Some(BoardFault::Silent) => return,
-            Some(BoardFault::I2cLost) => {
+            Some(BoardFailure::Silent) => return,
+            Some(BoardFailure::I2cLost) => {
                 if at_ns - self.last_sent_ns >= FAULT_EVERY_NS {
                     self.send(at_ns, Flags::BUS_FAULT | Flags::CHIP_RESET);
                 }
                 return;
             }
-            Some(BoardFault::ChipReset) => {
+            Some(BoardFailure::ChipReset) => {
                 let since_ns = *self.reset_since_ns.get_or_insert(at_ns);
                 if at_ns - since_ns < RESET_NS {
                     if at_ns - self.last_sent_ns >= AT_LATEST_NS {

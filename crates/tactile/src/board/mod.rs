@@ -28,7 +28,7 @@ pub use monitor::BoardMonitor;
 use crate::datastream::ELECTRODES;
 use crate::firmware::Firmware;
 use crate::touchline::BANKS;
-use moca_msgs::Fault;
+use moca_msgs::BoardFault;
 pub use moca_msgs::board::{Diagnosis, OpenFailure};
 
 /// Most electrodes of one board.
@@ -210,8 +210,8 @@ pub struct EarlyFrame {
 ///             bank: 0, fdat, baseline: fdat, sampled_at_ns, expected_sample_ns: sampled_at_ns, complete_ns: arrival_ns,
 ///         })
 ///     }
-///     fn fault(&self, now_ns: u64) -> Option<Fault> {
-///         (now_ns > self.last_ns.unwrap_or(0) + 50_000_000).then_some(Fault::BoardSilent)
+///     fn fault(&self, now_ns: u64) -> Option<BoardFault> {
+///         (now_ns > self.last_ns.unwrap_or(0) + 50_000_000).then_some(BoardFault::Silent)
 ///     }
 /// }
 ///
@@ -228,7 +228,7 @@ pub trait FrameSource {
     fn next_frame(&mut self, bytes: &mut &[u8], arrival_ns: u64) -> Option<SampledFrame>;
 
     /// Returns the most severe fault of the stream at `now_ns`.
-    fn fault(&self, now_ns: u64) -> Option<Fault>;
+    fn fault(&self, now_ns: u64) -> Option<BoardFault>;
 
     /// Takes an event of the port other than bytes.
     fn event(&mut self, _event: &BoardEvent) {}
@@ -245,9 +245,9 @@ pub trait FrameSource {
 }
 
 /// Returns true if `fault` means that chip or board restarted or cannot be trusted, so that its zero is void.
-pub const fn voids_zero(fault: Fault) -> bool {
+pub const fn voids_zero(fault: BoardFault) -> bool {
     matches!(
         fault,
-        Fault::BoardLost | Fault::BoardReset | Fault::BoardFrozen | Fault::BoardThresholds | Fault::BoardChip
+        BoardFault::Lost | BoardFault::Reset | BoardFault::Frozen | BoardFault::Thresholds | BoardFault::Chip
     )
 }

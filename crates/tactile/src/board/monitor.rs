@@ -13,7 +13,7 @@ use crate::datastream::{Assembler, BadFrame, ELECTRODES, Event, ForeignText, Fra
 use crate::firmware::Firmware;
 use crate::lines::{Cut, LineCutter};
 use crate::touchline::{self, Flags};
-use moca_msgs::Fault;
+use moca_msgs::BoardFault;
 use moca_msgs::board::{Diagnosis, OpenFailure};
 
 /// Between `TOUCH` and `RTHS` the newer stock sketch reads 26 thresholds over I²C (12 ms), the older one none (4 ms).
@@ -116,7 +116,7 @@ impl BoardMonitor {
 
     /// The stream's fault at `now_ns`, the gravest first. Silence counts from the last good frame of the chip that has
     /// been silent longest, or from loop time 0.
-    pub fn fault(&self, now_ns: u64) -> Option<Fault> {
+    pub fn fault(&self, now_ns: u64) -> Option<BoardFault> {
         self.reader.fault(now_ns)
     }
 
@@ -190,7 +190,7 @@ impl FrameSource for BoardMonitor {
         self.next_frame(bytes, arrival_ns)
     }
 
-    fn fault(&self, now_ns: u64) -> Option<Fault> {
+    fn fault(&self, now_ns: u64) -> Option<BoardFault> {
         self.fault(now_ns)
     }
 
@@ -262,19 +262,19 @@ impl Reader {
             self.bytes_without_frame.saturating_add(u32::try_from(count).unwrap_or(u32::MAX));
     }
 
-    fn fault(&self, now_ns: u64) -> Option<Fault> {
+    fn fault(&self, now_ns: u64) -> Option<BoardFault> {
         let last_ns = self.stamped.oldest_line_ns().or(self.last_good_ns).unwrap_or(0);
         if !self.connected {
-            Some(Fault::BoardLost)
+            Some(BoardFault::Lost)
         } else if now_ns.saturating_sub(last_ns) > SILENT_AFTER_NS {
             let starved = self.starved_ns.is_some_and(|at_ns| now_ns.saturating_sub(at_ns) <= STARVED_FOR_NS);
-            Some(if starved { Fault::HostStarved } else { Fault::BoardSilent })
+            Some(if starved { BoardFault::HostStarved } else { BoardFault::Silent })
         } else if self.all_zero {
-            Some(Fault::BoardReset)
+            Some(BoardFault::Reset)
         } else if self.is_frozen() {
-            Some(Fault::BoardFrozen)
+            Some(BoardFault::Frozen)
         } else if self.thresholds_changed {
-            Some(Fault::BoardThresholds)
+            Some(BoardFault::Thresholds)
         } else {
             self.stamped.fault()
         }

@@ -4,7 +4,7 @@ use super::clock::LEARNING_LINES;
 use super::{ClockMap, FROZEN_AFTER_NS, FROZEN_FRAMES, SampledFrame};
 use crate::datastream::ELECTRODES;
 use crate::touchline::{BANKS, Content, Flags, Line};
-use moca_msgs::Fault;
+use moca_msgs::BoardFault;
 
 /// Shortest and longest time between two refreshes of a chip whose oscillator is 10 % off, ns.
 const REFRESH_NS: [u64; 2] = [3_600_000, 4_400_000];
@@ -124,17 +124,17 @@ impl StampedLines {
 
     /// Returns the most severe fault of the chips, from the lines' own flags, stamps and numbers, or from data that does not
     /// change.
-    pub(super) fn fault(&self) -> Option<Fault> {
+    pub(super) fn fault(&self) -> Option<BoardFault> {
         let flagged = |flag| self.seen().any(|bank| bank.flags.has(flag));
         let jumped = self.clock.has_jumped() || self.seen().any(|bank| bank.distrusted > 0);
         if flagged(Flags::CHIP_RESET) || jumped {
-            Some(Fault::BoardReset)
+            Some(BoardFault::Reset)
         } else if flagged(Flags::BUS_FAULT) || self.seen().any(Bank::frozen) {
-            Some(Fault::BoardFrozen)
+            Some(BoardFault::Frozen)
         } else if flagged(Flags::OVER_CURRENT)
             || self.seen().any(|bank| bank.flags.has(Flags::OUT_OF_RANGE) && !bank.out_of_range_at_first)
         {
-            Some(Fault::BoardChip)
+            Some(BoardFault::Chip)
         } else {
             None
         }

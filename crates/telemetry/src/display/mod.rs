@@ -77,8 +77,8 @@ pub struct Periods {
     pub fixed_ns: u64,
 }
 
-/// State that changes now and then: mode, fault with its board, and state of the board.
-type Situation = (Mode, (Option<Fault>, Option<u8>), Diagnosis);
+/// State that changes now and then: mode, fault, and state of the board.
+type Situation = (Mode, Option<Fault>, Diagnosis);
 
 /// Turns samples into the messages that are due.
 pub struct Display {
@@ -199,8 +199,7 @@ impl Display {
     /// Mode, fault and board; whether one changed.
     fn changes(&mut self, sample: &Sample, again: bool, to: &mut impl Sink) -> Result<bool, LogError> {
         let (tick, time_ns, at) = (sample.tick, sample.time_ns, self.stamp(sample.time_ns));
-        let fault = (sample.fault, sample.fault_board);
-        let now = (sample.mode, fault, sample.board);
+        let now = (sample.mode, sample.fault, sample.board);
         let last = self.last.replace(now);
         let new_mode = last.is_none_or(|(mode, ..)| mode != sample.mode);
         if again || new_mode {
@@ -209,12 +208,12 @@ impl Display {
         if new_mode {
             to.message(LOG, time_ns, &sentences::mode(&at, sample.mode))?;
         }
-        let new_fault = last.map_or((None, None), |(_, fault, _)| fault) != fault;
+        let new_fault = last.and_then(|(_, fault, _)| fault) != sample.fault;
         if again || new_fault {
-            to.record(time_ns, &FaultChange::new(tick, sample.fault, sample.fault_board)?)?;
+            to.record(time_ns, &FaultChange::new(tick, sample.fault)?)?;
         }
         if new_fault {
-            to.message(LOG, time_ns, &sentences::fault(&at, &self.robot, sample.fault, sample.fault_board))?;
+            to.message(LOG, time_ns, &sentences::fault(&at, &self.robot, sample.fault))?;
         }
         if again || last.is_none_or(|(.., board)| board != sample.board) {
             to.record(time_ns, &BoardChange::new(tick, sample.board)?)?;

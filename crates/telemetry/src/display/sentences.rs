@@ -22,10 +22,10 @@ pub(super) fn mode(at: &Time, mode: Mode) -> Log {
     sentence(at, level, "mode", format!("The mode is {}.", mode.name()))
 }
 
-pub(super) fn fault(at: &Time, robot: &RobotDescription, fault: Option<Fault>, board: Option<u8>) -> Log {
+pub(super) fn fault(at: &Time, robot: &RobotDescription, fault: Option<Fault>) -> Log {
     let Some(fault) = fault else { return sentence(at, INFO, "fault", "No fault any more.".into()) };
     let level = if fault.reaction() == Reaction::Fault { ERROR } else { WARNING };
-    sentence(at, level, "fault", format!("{}: {}", fault.code(), robot.fault_text(fault, board)))
+    sentence(at, level, "fault", format!("{}: {}", fault.code(), robot.fault_text(fault)))
 }
 
 pub(super) fn contact(at: &Time, event: &ContactEvent) -> Log {

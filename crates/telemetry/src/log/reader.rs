@@ -271,7 +271,6 @@ pub(super) struct Decoder {
 pub(super) struct Carried {
     mode: Mode,
     fault: Option<Fault>,
-    fault_board: Option<u8>,
     board: Diagnosis,
     partial: Partial,
 }
@@ -330,9 +329,7 @@ impl Decoder {
             }
             ModeChange::TOPIC => self.carried.mode = parse::<ModeChange>(message)?.mode,
             FaultChange::TOPIC => {
-                let change: FaultChange = parse(message)?;
-                (self.carried.fault, self.carried.fault_board) =
-                    (change.fault()?, change.board.checked_sub(1));
+                self.carried.fault = parse::<FaultChange>(message)?.fault()?;
             }
             BoardChange::TOPIC => self.carried.board = parse::<BoardChange>(message)?.board()?,
             State::TOPIC => self.carried.partial.state = self.held::<State>(message)?,
@@ -392,7 +389,6 @@ impl Decoder {
             time_ns: log_time.saturating_sub(self.start_unix_ns),
             mode: self.carried.mode,
             fault: self.carried.fault,
-            fault_board: self.carried.fault_board,
             board: self.carried.board,
             contact_events: bounded(events),
             target: target.filter(|target| target.tick == tick).map(|target| target.state()),

@@ -13,8 +13,8 @@
 use crate::{audit::Asked, ros::message};
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{
-    ArmLink, ArmMode, ContactEvent, ContactReaction, Fault, Law, Mode, STAGES, Sample, SpeedLimit,
-    SpeedLimitReason, TaxelReading, TaxelStatus,
+    ArmLink, ArmMode, BoardFault, ContactEvent, ContactReaction, Fault, Law, Mode, STAGES, Sample,
+    SpeedLimit, SpeedLimitReason, TaxelReading, TaxelStatus,
     board::Diagnosis,
     sample_table,
     target::{TargetKind, TargetPhase, TargetState},
@@ -540,21 +540,28 @@ pub struct FaultChange {
 }
 
 impl FaultChange {
-    /// A change to `fault`, `None` when cleared, of `board` (0 is the first).
-    pub fn new(tick: u64, fault: Option<Fault>, board: Option<u8>) -> Result<Self, serde_json::Error> {
+    /// A change to `fault`, `None` when cleared.
+    pub fn new(tick: u64, fault: Option<Fault>) -> Result<Self, serde_json::Error> {
+        let json = match fault {
+            Some(Fault::Board { fault, .. }) => serde_json::to_string(&fault),
+            other => serde_json::to_string(&other),
+        };
         Ok(Self {
             tick,
             code: fault.map_or("", Fault::code).into(),
             text: fault.map_or("", Fault::text).into(),
             remedy: fault.map_or("", Fault::remedy).into(),
-            board: board.map_or(0, |board| board.saturating_add(1)),
-            json: serde_json::to_string(&fault)?,
+            board: fault.and_then(Fault::board).map_or(0, |board| board.saturating_add(1)),
+            json: json?,
         })
     }
 
-    /// The fault, `None` when cleared.
+    /// The fault, `None` when cleared. One of a board in a log of a time with one board is of the first.
     pub fn fault(&self) -> Result<Option<Fault>, serde_json::Error> {
-        serde_json::from_str(&self.json)
+        match serde_json::from_str::<BoardFault>(&self.json) {
+            Ok(fault) => Ok(Some(fault.of(self.board.saturating_sub(1)))),
+            Err(_) => serde_json::from_str(&self.json),
+        }
     }
 }
 

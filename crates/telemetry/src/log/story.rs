@@ -2,15 +2,15 @@
 //! nobody reads a day to hear of it.
 //!
 //! ```
-//! use moca_msgs::{Fault, Mode, Sample};
+//! use moca_msgs::{BoardFault, Fault, Mode, Sample};
 //! use moca_telemetry::log::story::Story;
 //! let mut story = Story::default();
 //! for shown in 0..100 {
-//!     let (mode, fault) = if shown < 50 { (Mode::Impedance, None) } else { (Mode::ProtectiveStop, Some(Fault::BoardLost)) };
+//!     let (mode, fault) = if shown < 50 { (Mode::Impedance, None) } else { (Mode::ProtectiveStop, Some(BoardFault::Lost.of(0))) };
 //!     story.add(&Sample { time_ns: shown * 20_000_000, mode, fault, ..Sample::default() });
 //! }
 //! assert_eq!(story.stop_count, 1);
-//! assert_eq!(story.stops[0].fault, Some(Fault::BoardLost));
+//! assert_eq!(story.stops[0].fault, Some(BoardFault::Lost.of(0)));
 //! ```
 
 use crate::audit::Asked;
