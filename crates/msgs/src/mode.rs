@@ -473,7 +473,12 @@ mod tests {
         }
         for fault in faults {
             assert!(Fault::has_code(fault.code()), "{}", fault.code());
-            assert_eq!(fault.board(), fault.code().starts_with("board").then_some(1), "{}", fault.code());
+            assert_eq!(
+                fault.board(),
+                BoardFault::CODES.contains(&fault.code()).then_some(1),
+                "{}",
+                fault.code()
+            );
             let remedy = fault.remedy();
             let says = (
                 remedy.contains("tare"),
