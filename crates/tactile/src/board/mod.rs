@@ -193,7 +193,7 @@ pub struct EarlyFrame {
 /// ```
 /// use moca_tactile::board::{BoardEvent, FrameSource, SampledFrame};
 /// use moca_tactile::{Cover, CoverConfig};
-/// use moca_msgs::Fault;
+/// use moca_msgs::BoardFault;
 ///
 /// /// Twelve bytes a frame: FDAT / 4.
 /// #[derive(Default)]
