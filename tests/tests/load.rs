@@ -31,12 +31,15 @@ fn measured(config: &Config) -> (Measured, f64) {
     let mut world = LockStep::with_true_forces(config, &free_scene(config), IdealCover::new(1, 0)).unwrap();
     let mut sample: Sample = (0..3000).map(|_| world.step(None).0).last().unwrap();
     assert_eq!(sample.mode, Mode::Impedance);
+    let (start_m, mut furthest_m) = (sample.flange_position_world, 0.0_f64);
     let mut past = VecDeque::new();
     let (mut sweeps, mut fastest_rad_s, mut tick) = (Sweeps::from(&sample).unwrap(), 0.0_f64, 0);
     while let Some(posture_rad) = sweeps.step(&sample).unwrap() {
         let target = TimedTarget::new(Target::Posture(ParameterValues::new(&posture_rad).unwrap()));
         let (next, answer) = world.step((tick % SEND_EVERY == 0).then_some(Request::Target(target)));
         assert!(answer.is_none_or(|answer| answer.is_ok()), "{answer:?}");
+        let ways_m = next.flange_position_world.iter().zip(start_m).map(|(at, start)| (at - start).abs());
+        furthest_m = ways_m.fold(furthest_m, f64::max);
         past.push_back(next.q_rad.clone());
         if past.len() > AVERAGED {
             let before = past.pop_front().unwrap();
@@ -45,7 +48,8 @@ fn measured(config: &Config) -> (Measured, f64) {
         }
         (sample, tick) = (next, tick + 1);
     }
-    println!("{tick} ms, fastest joint {fastest_rad_s:.3} rad/s");
+    assert!(furthest_m < 0.2, "{furthest_m} m");
+    println!("{tick} ms, flange within {furthest_m:.3} m, fastest joint {fastest_rad_s:.3} rad/s");
     (sweeps.measured(&config.robot.tool.origin).unwrap(), fastest_rad_s)
 }
 

@@ -118,7 +118,7 @@ impl Sweeps {
     fn end_rad(&self) -> Option<[f64; MAX_JOINTS]> {
         let posture = self.leg / 3;
         if posture == POSTURES {
-            return (self.leg % 3 == 0).then_some(self.start_rad);
+            return self.leg.is_multiple_of(3).then_some(self.start_rad);
         }
         let side = if self.leg % 3 == 1 { SWEEP_RAD } else { -SWEEP_RAD };
         let mut q_rad = self.posture_rad(posture);

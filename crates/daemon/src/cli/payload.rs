@@ -9,7 +9,7 @@ use anyhow::{Context, Result, bail, ensure};
 use clap::{Args, Subcommand};
 use moca_figures::progress::Progress;
 use moca_msgs::target::TargetPhase;
-use moca_msgs::{Mode, ParameterValues, Request, Sample, Target, TimedTarget};
+use moca_msgs::{Mode, ParameterValues, Refusal, Request, Sample, Target, TargetRefusal, TimedTarget};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::net::wire::unix_now_ns;
 use serde::{Deserialize, Serialize};
@@ -21,8 +21,8 @@ use std::time::{Duration, Instant, SystemTime};
 /// Period at which the posture is sent on.
 const SEND_EVERY: Duration = Duration::from_millis(20);
 
-/// Measurement of what the flange carries. The arm turns through six postures for two minutes, each joint at 0.1 rad/s at most, and
-/// goes back. Nobody may touch the robot.
+/// Measurement of what the flange carries. The arm turns through six postures for two and a half minutes and goes back. The reference of each
+/// joint turns at 0.05 rad/s at most. Nobody may touch the robot.
 #[derive(Subcommand)]
 pub enum Command {
     /// Measure the bare flange: what is wrong with the arm's model.
@@ -30,6 +30,7 @@ pub enum Command {
         /// Write the measurement into this file.
         #[arg(long, value_name = "FILE")]
         out: PathBuf,
+        /// Which daemon.
         #[command(flatten)]
         common: Arguments,
     },
@@ -181,8 +182,12 @@ fn sweep(
             sent = Some(Instant::now());
         }
         let update = operator.stay()?;
-        for reply in update.replies.iter().filter(|reply| matches!(reply.request, Request::Target(_))) {
-            reply.outcome.map_err(|refusal| Refused(reply.request.refused(refusal).to_string()))?;
+        for reply in &update.replies {
+            // A busy machine sends two at once, and the newer one counts.
+            let overtaken = Err(Refusal::Target(TargetRefusal::Overtaken));
+            if matches!(reply.request, Request::Target(_)) && reply.outcome != overtaken {
+                reply.outcome.map_err(|refusal| Refused(reply.request.refused(refusal).to_string()))?;
+            }
         }
         operator.leave_if_stopped(&update)?;
         for sample in &update.samples {

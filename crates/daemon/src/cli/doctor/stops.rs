@@ -5,7 +5,7 @@ use crate::cli::configuration;
 use crate::config::Config;
 use crate::control::stopping::{self, LADDER_M_S, STOPS_EACH, Stop};
 use crate::robot::{BaseDriver, PlantKind};
-use anyhow::{Context, Result, bail, ensure};
+use anyhow::{Result, bail, ensure};
 use std::path::Path;
 use std::time::SystemTime;
 
@@ -144,6 +144,7 @@ const FURTHEST_M: f64 = 0.3;
 /// Odometry that is missing or older than the configuration allows, and a base that is driven away or does not go as it is told.
 #[cfg(any(feature = "ros2", test))]
 fn climb(config: &Config, mut drive: impl FnMut(f64, f64) -> Option<([f64; 3], f64)>) -> Result<Vec<Stop>> {
+    use anyhow::Context as _;
     let mut ladder = stopping::Ladder::new(
         config.limits.base_acceleration[0],
         1.0 / f64::from(config.control_loop.rate_hz),
