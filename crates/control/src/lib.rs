@@ -13,6 +13,7 @@ mod controller;
 pub mod cover;
 pub mod foam_recovery;
 pub mod law;
+pub mod load_identification;
 pub mod loop_state;
 pub mod plant;
 pub mod protection;

@@ -79,8 +79,13 @@ impl RobotDescription {
 
     /// Value of a parameter that is one number.
     pub fn number(&self, parameter: &str) -> Option<f64> {
+        self.numbers(parameter)?.first().copied()
+    }
+
+    /// Value of a parameter that is a list of numbers.
+    pub fn numbers(&self, parameter: &str) -> Option<&[f64]> {
         match self.value(parameter)? {
-            ParameterValue::Numbers(numbers) => numbers.first().copied(),
+            ParameterValue::Numbers(numbers) => Some(numbers),
             ParameterValue::Text(_) => None,
         }
     }
@@ -123,7 +128,7 @@ impl RobotDescription {
 
     fn board_name(&self, board: u8) -> Option<String> {
         let port = self.text("board.port")?.split(", ").nth(usize::from(board))?;
-        let ParameterValue::Numbers(of_taxel) = self.value("robot.cover.board")? else { return None };
+        let of_taxel = self.numbers("robot.cover.board")?;
         let number = u16::from(board) + 1;
         let own = of_taxel.iter().zip(1..).filter(|(of, _)| (**of - f64::from(number)).abs() < 0.5);
         let taxels: Vec<String> = own.map(|(_, taxel)| format!("T{taxel}")).collect();

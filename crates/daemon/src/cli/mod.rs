@@ -3,12 +3,14 @@
 #[cfg(feature = "tls")]
 pub mod access;
 pub mod calibrate;
+mod configuration;
 pub mod doctor;
 pub mod log;
 mod log_story;
 pub mod operate;
 pub mod operator;
 pub mod params;
+pub mod payload;
 pub mod remote;
 pub mod report;
 mod status;

@@ -1,7 +1,8 @@
-//! `mocad tare | arm | disarm | stop | resume | recentre | law | status | watch | target`: a running robot without a screen.
+//! `mocad tare | arm | disarm | stop | resume | recentre | law | status | watch | target | payload`: a running robot without a screen.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
 use crate::cli::operator::{Arguments, Operator, Stopped, interrupted};
+use crate::cli::payload;
 use crate::cli::remote::{LOOK_EVERY, news, settled};
 use crate::cli::report::Report;
 use crate::cli::status::Status;
@@ -38,6 +39,9 @@ pub enum Command {
     Watch(Arguments),
     /// Lead flange, arm or base to a target, and hold the command meanwhile.
     Target(TargetArguments),
+    /// Measure what the flange carries.
+    #[command(subcommand)]
+    Payload(payload::Command),
 }
 
 /// Options of arming.
@@ -91,6 +95,7 @@ pub fn run(command: &Command) -> Result<()> {
         }
         Command::Watch(arguments) => watch(&Operator::look_on(arguments)?),
         Command::Target(arguments) => target::run(arguments),
+        Command::Payload(command) => payload::run(command),
     }
 }
 

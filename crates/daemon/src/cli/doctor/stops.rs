@@ -1,11 +1,11 @@
 //! `mocad doctor --base`: the distance in which the base stops. Under the contact barrier the speed limit follows from it.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
+use crate::cli::configuration;
 use crate::config::Config;
 use crate::control::stopping::{self, LADDER_M_S, STOPS_EACH, Stop};
 use crate::robot::{BaseDriver, PlantKind};
-use anyhow::{Context, Result, bail, ensure};
-use std::fs;
+use anyhow::{Result, bail, ensure};
 use std::path::Path;
 use std::time::SystemTime;
 
@@ -42,8 +42,7 @@ pub(super) fn run(config: &Config, file: Option<&Path>) -> Result<()> {
     }
     match file {
         Some(path) => {
-            let text = fs::read_to_string(path).with_context(|| format!("cannot read {}", path.display()))?;
-            replace(path, &entered(&text, &believed)?)?;
+            configuration::replace(path, &entered(&configuration::read(path)?, &believed)?)?;
             println!("\nWritten into {}.", path.display());
         }
         None => println!(
@@ -56,36 +55,22 @@ pub(super) fn run(config: &Config, file: Option<&Path>) -> Result<()> {
 
 /// `text` with what `believed` says of the base's stops in its section `[protection]`; everything else as it was.
 fn entered(text: &str, believed: &Config) -> Result<String> {
-    let mut document: toml_edit::DocumentMut = text.parse().context("not a TOML file")?;
-    let section = document.entry("protection").or_insert(toml_edit::table());
-    let section = section.as_table_like_mut().context("[protection] is no section")?;
     let p = &believed.protection;
     let rounded = |value: f64, digits: i32| (value * 10_f64.powi(digits)).ceil() / 10_f64.powi(digits);
-    let all = |values: &[f64], digits| -> toml_edit::Array {
-        values.iter().map(|value| rounded(*value, digits)).collect()
+    let all = |values: &[f64], digits| {
+        toml_edit::Value::from_iter(values.iter().map(|value| rounded(*value, digits)))
     };
-    section.insert("order_delay_ms", toml_edit::value(rounded(p.order_delay_ms, 2)));
-    section.insert("order_delay_error_ms", toml_edit::value(rounded(p.order_delay_error_ms, 2)));
-    section.insert("stopping_speed_m_s", toml_edit::value(all(&p.stopping_speed_m_s, 4)));
-    section.insert("stopping_distance_m", toml_edit::value(all(&p.stopping_distance_m, 6)));
-    section.insert("stopping_measured", toml_edit::value(p.stopping_measured.as_str()));
-    Ok(document.to_string())
-}
-
-/// Puts `text` in the place of a configuration, whole and valid or not at all.
-fn replace(path: &Path, text: &str) -> Result<()> {
-    let mut beside = path.as_os_str().to_owned();
-    beside.push(".new");
-    let beside = Path::new(&beside);
-    let write = || -> Result<()> {
-        fs::write(beside, text)?;
-        fs::set_permissions(beside, fs::metadata(path)?.permissions())?;
-        Config::load(beside)?;
-        Ok(fs::rename(beside, path)?)
-    };
-    write()
-        .inspect_err(|_| drop(fs::remove_file(beside)))
-        .with_context(|| format!("{} is left as it was", path.display()))
+    configuration::entered(
+        text,
+        &["protection"],
+        [
+            ("order_delay_ms", rounded(p.order_delay_ms, 2).into()),
+            ("order_delay_error_ms", rounded(p.order_delay_error_ms, 2).into()),
+            ("stopping_speed_m_s", all(&p.stopping_speed_m_s, 4)),
+            ("stopping_distance_m", all(&p.stopping_distance_m, 6)),
+            ("stopping_measured", p.stopping_measured.as_str().into()),
+        ],
+    )
 }
 
 #[cfg(feature = "sim")]
@@ -159,6 +144,7 @@ const FURTHEST_M: f64 = 0.3;
 /// Odometry that is missing or older than the configuration allows, and a base that is driven away or does not go as it is told.
 #[cfg(any(feature = "ros2", test))]
 fn climb(config: &Config, mut drive: impl FnMut(f64, f64) -> Option<([f64; 3], f64)>) -> Result<Vec<Stop>> {
+    use anyhow::Context as _;
     let mut ladder = stopping::Ladder::new(
         config.limits.base_acceleration[0],
         1.0 / f64::from(config.control_loop.rate_hz),
