@@ -26,6 +26,13 @@ fn an_arm_runs_live_and_nothing_is_said_of_a_board() {
     assert!(!text.contains("board"), "{text}");
 }
 
+#[test]
+fn flange_sensor_of_its_own_is_refused_by_mocad() {
+    let output = mocad("own", "kind = \"robot\"\nparts = \"arm\"\nflange_sensor = \"own\"", &[]);
+    let said = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success() && said.contains("has no driver of a flange sensor"), "{said}");
+}
+
 #[cfg(not(feature = "tls"))]
 #[test]
 fn access_of_other_machines_is_refused_without_its_feature() {

@@ -36,6 +36,8 @@ const READ_ELSEWHERE: &[(&str, &str)] = &[
     ("plant.arm.payload", "daemon/src/devices/franka_arm.rs"),
     ("plant.arm.external_wrench", "daemon/src/devices/franka_arm.rs"),
     ("plant.arm.deadline_s", "control/src/law.rs"),
+    ("plant.flange_sensor_deadline_s", "control/src/flange_sensor.rs"),
+    ("plant.flange_sensor_range", "control/src/flange_sensor.rs"),
     ("plant.base.driver", "daemon/src/runtime/run.rs"),
     ("plant.base.deadline_s", "control/src/law.rs"),
     ("plant.base.ros2.domain", "daemon/src/devices/ros2_base.rs"),
@@ -69,6 +71,7 @@ const READ_ELSEWHERE: &[(&str, &str)] = &[
     ("simulation.true.foam.creep", "sim/src/foam.rs"),
     ("simulation.true.foam.kind", "lockstep/src/simulated_robot.rs"),
     ("simulation.true.sensor.extra_age_ms", "lockstep/src/simulated_robot.rs"),
+    ("simulation.true.flange_sensor.delay_ms", "sim/src/flange_sensor.rs"),
 ];
 
 /// A robot, and the loads it is looked at under.
@@ -129,6 +132,17 @@ fn scenarios() -> Vec<Scenario> {
             format!("[board]\nmasked = [3]\nmask_policy = \"{}\"\n{hand}", mask_policy()),
             true,
             2400,
+        ),
+        scenario(
+            "with a flange sensor",
+            format!(
+                "[plant]\nflange_sensor = \"simulated\"\nflange_sensor_origin = [0.0, 0.0, 0.04, 0.0, 0.0, 0.5]\n\
+                 [startup]\nlaw = \"follow-me\"\n\
+                 [simulation.true.flange_sensor]\nbias_n = [5.0, 0.0, 0.0]\nbias_nm = [0.1, 0.0, 0.0]\nnoise_n = 0.5\n\
+                 noise_nm = 0.02\ndrift_n_s = 0.01\ndrift_nm_s = 0.001\ndelay_ms = 3.0\n{carried}"
+            ),
+            false,
+            800,
         ),
         scenario("slowly", format!("[loop]\nrate_hz = 150\n{hand}"), false, 180),
     ]

@@ -2,13 +2,17 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, reason = "a test that cannot go on has to stop")]
 
 use moca_control::config::{AssumedModel, Config, HandConfig};
+use moca_control::robot::FlangeSensorKind;
 use moca_daemon::record::command_csv;
 use moca_daemon::runtime::allocations::{self, CountingAllocator};
 use moca_lockstep::simulated_robot::free_scene;
 use moca_lockstep::touch_board::ByteCover;
 use moca_lockstep::{LockStep, MemoryBoards};
+use moca_msgs::mode::FlangeTare;
 use moca_msgs::params::CONTROLLER;
-use moca_msgs::{BoardFault, Fault, Law, Mode, ParameterValues, Refusal, Request, Sample, TaxelStatus};
+use moca_msgs::{
+    BoardFault, Fault, Law, Mode, ParameterValues, Refusal, Request, Sample, TaxelStatus, TrueFlangeSensor,
+};
 use moca_sim::VirtualBoardConfig;
 use moca_sim::board::BoardFailure;
 use moca_tactile::Firmware;
@@ -100,6 +104,97 @@ fn same_seed_same_bits_and_another_seed_other_bits() {
     let first = log(1);
     assert_eq!(first, log(1));
     assert_ne!(first, log(2), "the noise never reached the commands: the comparison above shows nothing");
+}
+
+/// A sensor with bias and noise under a tool of 1 kg, whose frame is turned, in follow-me.
+fn flange_sensor() -> Config {
+    let mut config = config();
+    config.startup.law = Law::FollowMe;
+    config.plant.flange_sensor = FlangeSensorKind::Simulated;
+    config.plant.flange_sensor_origin = [0.0, 0.0, 0.04, 0.0, 0.0, 0.8];
+    (config.robot.tool.mass_kg, config.robot.tool.com_m) = (1.0, [0.0, 0.0, 0.06]);
+    config.robot.tool.origin = [0.0, 0.0, 0.1, 0.4, -0.3, 0.8];
+    config.simulation.truth.flange_sensor = TrueFlangeSensor {
+        bias_n: [12.0, -7.0, 30.0],
+        bias_nm: [0.5, -0.2, 0.1],
+        noise_n: 0.3,
+        noise_nm: 0.01,
+        ..TrueFlangeSensor::default()
+    };
+    config
+}
+
+#[test]
+fn base_follows_hand_that_flange_sensor_measures() {
+    let mut world = world(&flange_sensor());
+    let start = run(&mut world, TARED_TICKS);
+    assert_eq!(start.mode, Mode::FollowMe);
+    let hand = [15.0, 0.0, 0.0, 0.0, 0.0, 0.0];
+    world.control.plant.world.set_flange_wrench_world(hand).unwrap();
+    let (mut mean, ticks) = ([0.0; 6], 2000);
+    for _ in 0..ticks {
+        let sample = run(&mut world, 1);
+        for (mean, felt) in mean.iter_mut().zip(sample.flange_wrench_world) {
+            *mean += felt / f64::from(ticks);
+        }
+    }
+    for (axis, (mean, true_value)) in mean.iter().zip(hand).enumerate() {
+        assert!((mean - true_value).abs() < 0.05, "axis {axis}: {mean} of {true_value}");
+    }
+    let led = run(&mut world, 1);
+    assert!(led.base_pose_world[0] - start.base_pose_world[0] > 0.05, "{:?}", led.base_pose_world);
+    assert_eq!((led.mode, led.fault), (Mode::FollowMe, None));
+}
+
+#[test]
+fn flange_sensor_carries_true_tool_whatever_is_believed() {
+    let mut config = flange_sensor();
+    config.robot.tool.inertia_com = [1e-3, 0.0, 0.0, 1e-3, 0.0, 1e-3]; // two point masses on a line have none about it
+    let weight_n = |config: &Config| {
+        let scene = free_scene(config);
+        let reading = moca_sim::SimPlant::new(&scene).unwrap().flange_reading().unwrap();
+        let [x, y, z] = std::array::from_fn(|i| reading[i] - config.simulation.truth.flange_sensor.bias_n[i]);
+        (x * x + y * y + z * z).sqrt()
+    };
+    assert!((weight_n(&config) / 9.81 - 1.0).abs() < 0.1, "the believed kilogram");
+    config.simulation.truth.arm.tool_mass_kg = 2.0;
+    assert!((weight_n(&config) / 9.81 - 3.0).abs() < 0.1, "and the true two beside it");
+    assert!((config.robot.payload().inertial.mass_kg - 1.0).abs() < 1e-12, "belief is a number of its own");
+}
+
+#[test]
+fn silent_flange_sensor_stops_until_it_measures_again() {
+    let mut world = world(&flange_sensor());
+    assert_eq!(run(&mut world, TARED_TICKS).mode, Mode::FollowMe);
+    world.control.plant.world.set_flange_wrench_world([15.0, 0.0, 0.0, 0.0, 0.0, 0.0]).unwrap();
+    let moving = run(&mut world, 1500);
+    assert!(speed(&moving) > 0.02, "{}", speed(&moving));
+    world.control.plant.set_flange_sensor_silent(true);
+    let deadline_ticks = 10;
+    assert_eq!(run(&mut world, deadline_ticks).mode, Mode::FollowMe, "younger than its deadline");
+    let stopped = run(&mut world, 2);
+    assert_eq!((stopped.mode, stopped.fault), (Mode::ProtectiveStop, Some(Fault::FlangeSensorStale)));
+    let stands = run(&mut world, 1500);
+    assert!(speed(&stands) < 1e-3, "{}", speed(&stands));
+    assert_eq!(ask(&mut world, Request::Resume), Err(Refusal::CauseRemains(Fault::FlangeSensorStale)));
+    assert_eq!(ask(&mut world, Request::Tare), Err(Refusal::CauseRemains(Fault::FlangeSensorStale)));
+    world.control.plant.set_flange_sensor_silent(false);
+    run(&mut world, 1);
+    ask(&mut world, Request::Resume).unwrap();
+    ask(&mut world, Request::Arm).unwrap();
+    assert!(speed(&run(&mut world, 1500)) > 0.02, "the zero is still valid");
+}
+
+#[test]
+fn flange_sensor_that_shakes_is_not_tared() {
+    let mut config = flange_sensor();
+    config.simulation.truth.flange_sensor.noise_n = 5.0;
+    let mut world = world(&config);
+    let refused = (0..TARED_TICKS).map(|_| run(&mut world, 1)).find(|sample| {
+        matches!(sample.fault, Some(Fault::FlangeZeroInvalid { why: FlangeTare::Noisy { .. } }))
+    });
+    assert!(refused.is_some_and(|sample| !sample.mode.moves()));
+    assert!(!run(&mut world, TARED_TICKS).mode.moves());
 }
 
 /// Minutes of noise must not creep through the admittance.

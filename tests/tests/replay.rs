@@ -7,6 +7,7 @@
 )]
 
 use moca_control::config::{BarrierReadings, Config, HandConfig};
+use moca_control::robot::FlangeSensorKind;
 use moca_daemon::record::flight_recorder::FlightRecorder;
 use moca_daemon::record::recording::{configuration, parameter_change};
 use moca_daemon::record::tick_blocks::BlockBuilder;
@@ -149,6 +150,39 @@ fn a_run_that_is_led_from_outside_comes_out_the_same() {
     let path = write("led.mcap", &config(), &run.records, &run.samples);
     let report = replay::run(&[path]).unwrap();
     assert_eq!(report.compared, run.samples.len() as u64);
+}
+
+#[test]
+fn run_with_flange_sensor_replays_bit_equal() {
+    let mut config = config();
+    config.startup.law = Law::FollowMe;
+    config.plant.flange_sensor = FlangeSensorKind::Simulated;
+    config.robot.tool.mass_kg = 1.0;
+    let truth = &mut config.simulation.truth.flange_sensor;
+    (truth.bias_n, truth.noise_n, truth.drift_n_s, truth.delay_ms) = ([5.0, -3.0, 8.0], 0.3, 0.01, 3.0);
+    let mut run = Run::start(&config);
+    assert_eq!(run.run(1500), Mode::FollowMe);
+    run.world.control.plant.world.set_flange_wrench_world([0.0, 15.0, 0.0, 0.0, 0.0, 0.0]).unwrap();
+    run.run(600);
+    run.world.control.plant.set_flange_sensor_silent(true);
+    assert_eq!(run.run(50), Mode::ProtectiveStop);
+    run.world.control.plant.set_flange_sensor_silent(false);
+    run.world.control.plant.world.set_flange_wrench_world([0.0; 6]).unwrap();
+    run.run(1500);
+    run.ask(Request::Tare);
+    run.run(1300);
+    run.ask(Request::Resume);
+    run.ask(Request::Arm);
+    let mode = run.run(200);
+    assert_eq!((mode, run.samples.last().unwrap().fault), (Mode::FollowMe, None));
+    let path = write("flange.mcap", &config, &run.records, &run.samples);
+    assert_eq!(replay::run(&[path]).unwrap().compared, run.samples.len() as u64);
+
+    let mut records = run.records;
+    let reading = records[1800].input.flange.as_mut().unwrap();
+    reading.wrench[1] += 1e-9;
+    let changed = write("flange-changed.mcap", &config, &records, &run.samples);
+    assert!(matches!(failure(&changed), Failure::Differs { tick: 1800, .. }));
 }
 
 #[test]

@@ -11,6 +11,7 @@ use moca_msgs::{
     Fault, Outcome, ParameterError, Parameters, Refusal, Request, RobotCommand, RobotState, Target,
     TargetRefusal,
 };
+use moca_wbc::nalgebra::Matrix3;
 use moca_wbc::reference_generator::{ReferenceBounds, Workspace};
 use moca_wbc::self_collision::Separation;
 use moca_wbc::{
@@ -76,6 +77,11 @@ pub(super) trait Controller: Send {
 
     /// Pose of the tool on the base with the arm in its posture; `None` unless an arm stands on a base.
     fn posture_place(&self, _: &Parameters<JOINTS>) -> Option<PosturePlace> {
+        None
+    }
+
+    /// Axes of the tool in W; `None` without an arm.
+    fn tool_axes_world(&self, _: &RobotState<JOINTS>) -> Option<Matrix3<f64>> {
         None
     }
 
@@ -228,6 +234,11 @@ where
         let kinematics = self.controller.model().kinematics(0.0, posture_rad);
         let (position_base, rotation_base) = (kinematics.tool_from_base(), kinematics.tool_rotation);
         Some(PosturePlace { position_base, rotation_base })
+    }
+
+    fn tool_axes_world(&self, robot: &RobotState<JOINTS>) -> Option<Matrix3<f64>> {
+        let [_, _, yaw] = robot.base_pose_world;
+        Some(self.controller.model().kinematics(yaw, &robot.resized::<N>().q_rad).tool_rotation)
     }
 
     fn external_torque_nm(&self) -> Option<[f64; JOINTS]> {
@@ -398,6 +409,11 @@ where
             exceeded: output.exceeded,
             ..WITHOUT_PARTS
         })
+    }
+
+    fn tool_axes_world(&self, robot: &RobotState<JOINTS>) -> Option<Matrix3<f64>> {
+        let [_, _, yaw] = robot.base_pose_world;
+        Some(self.controller.model().kinematics(yaw, &robot.resized::<N>().q_rad).tool_rotation)
     }
 
     fn external_torque_nm(&self) -> Option<[f64; JOINTS]> {

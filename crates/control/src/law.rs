@@ -7,13 +7,14 @@ use crate::config::live::changed;
 use crate::config::{Config, RecentrePolicy};
 use crate::controller::{self, Controller, LawInput};
 use crate::cover::CoverState;
+use crate::flange_sensor::{FlangeReading, FlangeWrench};
 use crate::foam_recovery::FoamRecovery;
 use crate::loop_state::{MotionState, OtherRobot};
 use crate::plant::SourceAge;
 use crate::protection::{Protected, Protection};
 use crate::recentre::Recentre;
 use crate::robot::{JOINTS, Parts, PlantKind, TAXELS};
-use crate::supervisor::Touch;
+use crate::supervisor::{Touch, Zero};
 use crate::targets::Targets;
 use crate::uncalibrated::PushCap;
 use crate::uncovered::Uncovered;
@@ -22,6 +23,8 @@ use moca_msgs::{
     Actuation, ContactRow, Fault, Mode, Outcome, ParameterError, ParameterValues, Parameters, PostureOffset,
     Request, RobotState, TargetState, TaxelStatus,
 };
+use moca_wbc::nalgebra::Matrix3;
+use moca_wbc::rotation;
 use moca_wbc::{ControlError, ControlLaw, ControlOutput, Exceeded};
 
 /// The controller with its parameters and what protects people from it.
@@ -45,6 +48,8 @@ pub struct Motion {
     recovery: Option<FoamRecovery>,
     /// Compensation of loads that the arm's model does not know, if it is on.
     compensation: Option<Compensation>,
+    /// Sensor at the flange, if there is one.
+    flange: Option<Flange>,
     parts: Parts,
     /// Protection of the present tick.
     protected: Protected,
@@ -52,6 +57,12 @@ pub struct Motion {
     twisted: bool,
     real: bool,
     deadlines: SourceAge,
+}
+
+/// Sensor at the flange and the axes of the flange in those of the tool.
+struct Flange {
+    wrench: FlangeWrench,
+    tool_from_flange: Matrix3<f64>,
 }
 
 impl Motion {
@@ -73,6 +84,9 @@ impl Motion {
         let recentre = Recentre::new(config, place);
         let recovery = (config.control.recentre == RecentrePolicy::OnRequest).then(FoamRecovery::default);
         let compensation = Compensation::new(config, &parameters);
+        let [.., roll, pitch, yaw] = config.robot.payload().tool_origin;
+        let tool_from_flange = rotation::from_rpy([roll, pitch, yaw]).transpose();
+        let flange = FlangeWrench::new(config).map(|wrench| Flange { wrench, tool_from_flange });
         let real = config.plant.kind == PlantKind::Robot;
         let deadlines =
             SourceAge { arm_s: config.plant.arm.deadline_s, base_s: config.plant.base.deadline_s };
@@ -90,12 +104,52 @@ impl Motion {
             recentre,
             recovery,
             compensation,
+            flange,
             parts,
             protected,
             twisted: false,
             real,
             deadlines,
         })
+    }
+
+    /// Returns true if the wrench at the flange is a sensor's.
+    pub const fn has_flange_sensor(&self) -> bool {
+        self.flange.is_some()
+    }
+
+    /// Puts the external wrench from a reading of the flange sensor, `dt_s` after the last one, into a measured state. Without a
+    /// sensor the state stays; without a state a tare is interrupted.
+    ///
+    /// # Errors
+    /// As for [`FlangeWrench::feel`]; the state is then without a wrench.
+    pub fn feel_flange(
+        &mut self,
+        reading: Option<FlangeReading>,
+        robot: Option<&mut RobotState<JOINTS>>,
+        dt_s: f64,
+    ) -> Result<(), Fault> {
+        let Some(Flange { wrench, tool_from_flange }) = &mut self.flange else { return Ok(()) };
+        let Some(robot) = robot else {
+            wrench.interrupt_tare();
+            return Ok(());
+        };
+        robot.flange_wrench_world = None;
+        let Some(tool_axes) = self.controller.tool_axes_world(robot) else { return Ok(()) };
+        robot.flange_wrench_world = wrench.feel(reading, robot, &(tool_axes * *tool_from_flange), dt_s)?;
+        Ok(())
+    }
+
+    /// Begins a tare of the flange sensor.
+    pub fn tare_flange(&mut self) {
+        if let Some(flange) = &mut self.flange {
+            flange.wrench.start_tare();
+        }
+    }
+
+    /// State of the flange sensor's zero, with the fault that stands for a missing one; valid without a sensor.
+    pub fn flange_zero(&self) -> (Zero, Fault) {
+        self.flange.as_ref().map_or((Zero::Valid, Fault::ZeroInvalid), |flange| flange.wrench.zero())
     }
 
     /// Returns true for a real robot, whose arm holds itself on its own controller while it gets no torques.
@@ -204,6 +258,7 @@ impl Motion {
             recentre: self.recentre.state(),
             recovery: self.recovery,
             compensation: self.compensation.as_ref().map(Compensation::state),
+            flange: self.flange.as_ref().map(|flange| flange.wrench.state()),
         }
     }
 
@@ -226,6 +281,8 @@ impl Motion {
         self.recentre.restore(&state.recentre);
         self.recovery = state.recovery;
         restored(self.compensation.as_mut(), state.compensation.as_ref(), Compensation::restore)?;
+        let flange = self.flange.as_mut().map(|flange| &mut flange.wrench);
+        restored(flange, state.flange.as_ref(), FlangeWrench::restore)?;
         Ok(())
     }
 

@@ -11,6 +11,7 @@ pub mod config;
 pub mod contacts;
 mod controller;
 pub mod cover;
+pub mod flange_sensor;
 pub mod foam_recovery;
 pub mod law;
 pub mod load_identification;

@@ -4,6 +4,7 @@
 use crate::barrier::BarrierMemory;
 use crate::base_watch::BaseWatchState;
 use crate::compensation::CompensationState;
+use crate::flange_sensor::FlangeState;
 use crate::foam_recovery::FoamRecovery;
 use crate::protection::ProtectionState;
 use crate::recentre::RecentreState;
@@ -49,6 +50,9 @@ pub struct MotionState {
     pub(super) recentre: RecentreState,
     pub(super) recovery: Option<FoamRecovery>,
     pub(super) compensation: Option<CompensationState>,
+    /// Behind all else in a log, so that those of a robot without a flange sensor keep their form.
+    #[serde(skip)]
+    pub flange: Option<FlangeState>,
 }
 
 /// Memory of the controller of a robot's parts: one variant each, with its conversions to and from a controller's own state.

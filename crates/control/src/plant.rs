@@ -1,5 +1,6 @@
 //! The plant: whatever has a base and an arm. The only line that simulation and robot do not share.
 
+use crate::flange_sensor::FlangeSensor;
 use crate::robot::JOINTS;
 use moca_msgs::{Actuation, ArmLink, Fault, Outcome, Refusal, RobotState};
 use serde::{Deserialize, Serialize};
@@ -69,6 +70,11 @@ pub trait Plant {
     /// # Errors
     /// As for [`Plant::read`].
     fn write(&mut self, actuation: &Actuation<JOINTS>, ticks: u64) -> Result<(), Fault>;
+
+    /// Returns the force-torque sensor at the flange, where `plant.flange_sensor` declares one.
+    fn flange_sensor(&mut self) -> Option<&mut dyn FlangeSensor> {
+        None
+    }
 
     /// Returns the requests that only a simulated robot takes.
     fn simulated(&mut self) -> Option<&mut dyn Simulated> {

@@ -302,6 +302,19 @@ pub enum Believed {
 
 choice!(Believed { Ours: "ours", Arm: "arm" });
 
+/// Force-torque sensor between flange and tool.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FlangeSensorKind {
+    /// None: the momentum observer, or the arm itself, estimates the wrench.
+    None,
+    /// That of a simulated arm.
+    Simulated,
+    /// That of the program that runs the loop.
+    Own,
+}
+
+choice!(FlangeSensorKind { None: "none", Simulated: "simulated", Own: "own" });
+
 /// Driver of a real base.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BaseDriver {

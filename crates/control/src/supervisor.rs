@@ -37,7 +37,7 @@ pub const EDGES: &[(Mode, Mode)] = {
     ]
 };
 
-/// State of the cover's zero.
+/// State of a zero: of the cover, or of all that is tared.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Zero {
     /// None, or no longer valid.
@@ -48,6 +48,19 @@ pub enum Zero {
     Refused,
     /// Valid.
     Valid,
+}
+
+impl Zero {
+    /// Returns the state of two zeros together: valid if both are, and being measured as long as one is.
+    #[must_use]
+    pub const fn and(self, other: Self) -> Self {
+        match (self, other) {
+            (Self::Taring, _) | (_, Self::Taring) => Self::Taring,
+            (Self::Refused, _) | (_, Self::Refused) => Self::Refused,
+            (Self::Invalid, _) | (_, Self::Invalid) => Self::Invalid,
+            (Self::Valid, Self::Valid) => Self::Valid,
+        }
+    }
 }
 
 /// A taxel that feels a force.
@@ -74,8 +87,10 @@ pub struct Facts {
     pub cover_seen: bool,
     /// Present fault of the cover.
     pub cover_fault: Option<Fault>,
-    /// The cover's zero.
+    /// Zero of cover and flange sensor.
     pub zero: Zero,
+    /// Fault that stands for a missing zero.
+    pub zero_fault: Fault,
     /// Present fault of the plant or of the controller.
     pub plant_fault: Option<Fault>,
     /// The joint (0 is the first) of a real arm that is too far from its posture to be armed, and how far, rad.
@@ -205,7 +220,7 @@ impl Supervisor {
             Mode::Fault => {}
             // Nothing moves yet: say what is missing and wait for it.
             Mode::Starting => {
-                let refused = (facts.zero == Zero::Refused).then_some(Fault::ZeroInvalid);
+                let refused = (facts.zero == Zero::Refused).then_some(facts.zero_fault);
                 self.cause = awaited.or(facts.cover_fault).or(refused);
             }
             Mode::Taring | Mode::Ready | Mode::Impedance | Mode::FollowMe => {
@@ -214,15 +229,14 @@ impl Supervisor {
                 {
                     self.stop(fault);
                 } else if self.mode != Mode::Taring && facts.zero != Zero::Valid {
-                    self.stop(Fault::ZeroInvalid);
+                    self.stop(facts.zero_fault);
                 }
             }
             // The first cause stays until resume, unless it was the operator's and a real one has come since, or the cover
             // now needs a tare which that cause does not speak of.
             Mode::ProtectiveStop => {
                 let asked = matches!(self.cause, None | Some(Fault::OperatorStop));
-                let no_zero =
-                    matches!(facts.zero, Zero::Invalid | Zero::Refused).then_some(Fault::ZeroInvalid);
+                let no_zero = matches!(facts.zero, Zero::Invalid | Zero::Refused).then_some(facts.zero_fault);
                 let cover =
                     facts.cover_fault.filter(|_| asked).or(facts.cover_fault.or(no_zero).filter(|fault| {
                         let silent = matches!(
@@ -338,7 +352,7 @@ impl Supervisor {
                 (Zero::Invalid | Zero::Refused, Mode::Starting) => {
                     self.go(Mode::Starting);
                 }
-                (Zero::Invalid | Zero::Refused, _) => self.stop(Fault::ZeroInvalid),
+                (Zero::Invalid | Zero::Refused, _) => self.stop(facts.zero_fault),
             },
             _ => {}
         }
@@ -381,6 +395,7 @@ mod tests {
         cover_seen: true,
         cover_fault: None,
         zero: Zero::Valid,
+        zero_fault: Fault::ZeroInvalid,
         plant_fault: None,
         far_joint: None,
         touch: None,
@@ -422,6 +437,18 @@ mod tests {
         Facts { plant_fault: Some(Fault::ArmRefused), zero: Zero::Invalid, ..GOOD },
         Facts { far_joint: Some((3, 0.3)), ..GOOD },
     ];
+
+    #[test]
+    fn zeros_together_are_the_one_that_is_further_from_valid() {
+        use Zero::{Invalid, Refused, Taring, Valid};
+        // from the one that decides to the one that decides nothing
+        let order = [Taring, Refused, Invalid, Valid];
+        for (i, one) in order.into_iter().enumerate() {
+            for (j, other) in order.into_iter().enumerate() {
+                assert_eq!(one.and(other), order[i.min(j)], "{one:?} {other:?}");
+            }
+        }
+    }
 
     fn manual() -> Supervisor {
         Supervisor::new(Law::Impedance, Automatic::default())

@@ -1,13 +1,14 @@
 //! The loop: one tick of the robot, from state and bytes to a command.
 
 use crate::cover::{CoverSource, CoverState};
+use crate::flange_sensor::{FlangeReading, FlangeSensor};
 use crate::law::{self, Motion};
 use crate::loop_state::{LoopState, OtherRobot};
 use crate::plant::{Plant, SourceAge};
 use crate::robot::JOINTS;
 use crate::stage::{Stage, StageTimer};
 use crate::state_check::{Checked, StateCheck};
-use crate::supervisor::{Facts, Supervisor, Touch};
+use crate::supervisor::{Facts, Supervisor, Touch, Zero};
 use crate::tick_input::{Slot, TickInput};
 use heapless::Vec;
 use moca_msgs::{
@@ -55,16 +56,18 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         let measured = self.measured();
         let (age, link) = (self.plant.age(), self.plant.link());
         let (deadlines, elapsed_s) = (self.motion.deadlines(), self.elapsed_s(slot));
-        let robot = match &measured {
+        let mut robot = match &measured {
             Ok(state) => self.state_check.check(state, age, deadlines, elapsed_s),
             Err(fault) => Checked::none(*fault),
         };
+        let flange = self.flange_reading();
+        let flange_fault = self.motion.feel_flange(flange, robot.state.as_mut(), elapsed_s).err();
         timer.end(Stage::Read);
 
         let cover = self.cover.read(slot.now_ns);
         timer.end(Stage::Cover);
 
-        let (outcome, mode) = self.decide(slot, &robot, &cover, request);
+        let (outcome, mode) = self.decide(slot, (&robot, flange_fault), &cover, request);
         let output = self.command(slot, &robot, &cover, mode);
         let actuation = self.actuation(&robot, output.as_ref());
         timer.end(Stage::Control);
@@ -81,6 +84,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             state: measured,
             age,
             link,
+            flange,
             request,
             outcome,
             refused,
@@ -137,6 +141,21 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         self.plant.read().map(|state| state.in_single_precision())
     }
 
+    /// The newest reading of the flange sensor, rounded as [`Self::measured`] does, where there is one.
+    fn flange_reading(&mut self) -> Option<FlangeReading> {
+        if !self.motion.has_flange_sensor() {
+            return None;
+        }
+        let exact = self.plant.is_exact();
+        let FlangeReading { wrench, age_s } = self.plant.flange_sensor().and_then(FlangeSensor::latest)?;
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "to the nearest single; what is too large becomes infinite"
+        )]
+        let single = |value: f64| if exact { value } else { f64::from(value as f32) };
+        Some(FlangeReading { wrench: wrench.map(single), age_s })
+    }
+
     fn elapsed_s(&self, slot: &Slot) -> f64 {
         #[expect(clippy::cast_precision_loss, reason = "a count of missed slots")]
         let ticks = slot.ticks as f64;
@@ -147,22 +166,26 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     fn decide(
         &mut self,
         slot: &Slot,
-        robot: &Checked,
+        (robot, flange_fault): (&Checked, Option<Fault>),
         cover: &CoverState,
         request: Option<Request>,
     ) -> (Option<Outcome>, Mode) {
         let taxels = ..self.motion.taxels();
+        let (flange_zero, no_zero) = self.motion.flange_zero();
+        let of_cover = matches!(cover.zero, Zero::Invalid | Zero::Refused);
         let facts = Facts {
             cover_seen: cover.frames_good > 0 || !self.motion.parts().has_cover(),
             cover_fault: cover.poll.fault,
-            zero: cover.zero,
-            plant_fault: robot.fault,
+            zero: cover.zero.and(flange_zero),
+            zero_fault: if of_cover { Fault::ZeroInvalid } else { no_zero },
+            plant_fault: robot.fault.or(flange_fault),
             far_joint: robot.state.as_ref().and_then(|state| self.motion.far_joint(state)),
             touch: cover.poll.forces.as_ref().ok().and_then(|forces_n| Touch::strongest(&forces_n[taxels])),
         };
         let decision = self.supervisor.step(&facts, request);
         if decision.start_tare {
             self.cover.start_tare(slot.now_ns);
+            self.motion.tare_flange();
         }
         let outcome = decision
             .carry_out
@@ -330,16 +353,30 @@ mod tests {
     use crate::assemble::{motion, supervisor};
     use crate::config::Config;
     use crate::plant::SourceAge;
+    use crate::robot::FlangeSensorKind;
     use crate::stage::Untimed;
-    use crate::supervisor::Zero;
     use moca_msgs::BoardFault;
     use moca_msgs::TaxelStatus;
+    use moca_msgs::mode::FlangeTare;
 
-    /// Stands still; remembers the last order and refuses it if told to.
+    /// Stands still; remembers the last order and refuses it if told to. Its flange sensor, if it has one, trembles by 2^-10 N.
+    #[derive(Default)]
     struct Standing {
         brakes: bool,
         refuses: bool,
         lost: bool,
+        flange: Option<[f64; 6]>,
+        trembled: bool,
+        torque_nm: [f64; JOINTS],
+    }
+
+    impl FlangeSensor for Standing {
+        fn latest(&mut self) -> Option<FlangeReading> {
+            self.trembled = !self.trembled;
+            let mut wrench = self.flange?;
+            wrench[2] += if self.trembled { 2.0_f64.powi(-10) } else { 0.0 };
+            Some(FlangeReading { wrench, age_s: 0.0 })
+        }
     }
 
     impl Plant for Standing {
@@ -347,7 +384,17 @@ mod tests {
             if self.lost {
                 return Err(Fault::PlantLost);
             }
-            Ok(RobotState::at_rest(Config::default().control.gains.posture_rad))
+            let state = RobotState::at_rest(Config::default().control.gains.posture_rad);
+            let Some(_) = self.flange else { return Ok(state) };
+            Ok(RobotState {
+                flange_wrench_world: Some([99.0; 6]),
+                torque_measured_nm: self.torque_nm,
+                ..state
+            })
+        }
+
+        fn flange_sensor(&mut self) -> Option<&mut dyn FlangeSensor> {
+            Some(self)
         }
 
         fn age(&self) -> SourceAge {
@@ -356,6 +403,9 @@ mod tests {
 
         fn write(&mut self, actuation: &Actuation<JOINTS>, _ticks: u64) -> Result<(), Fault> {
             self.brakes = matches!(actuation, Actuation::Brake);
+            if let Actuation::Drive(command) = actuation {
+                self.torque_nm = command.arm_torque_nm;
+            }
             if self.refuses { Err(Fault::ControlRefused) } else { Ok(()) }
         }
     }
@@ -375,7 +425,7 @@ mod tests {
     fn armed() -> ControlLoop<Standing, Scripted> {
         let config = Config::default();
         let cover = Scripted(CoverState { frames_good: 1, zero: Zero::Invalid, ..CoverState::NONE });
-        let plant = Standing { brakes: false, refuses: false, lost: false };
+        let plant = Standing::default();
         let mut control = ControlLoop::new(plant, cover, supervisor(&config), motion(&config).unwrap(), 1e-3);
         step(&mut control, 0);
         control.cover.0.zero = Zero::Valid;
@@ -406,7 +456,7 @@ mod tests {
         let mut config = Config::default();
         config.set("protection.contact_barrier", &"pu-ld30".into()).unwrap();
         let cover = Scripted(CoverState { frames_good: 1, zero: Zero::Invalid, ..CoverState::NONE });
-        let plant = Standing { brakes: false, refuses: false, lost: false };
+        let plant = Standing::default();
         let mut control = ControlLoop::new(plant, cover, supervisor(&config), motion(&config).unwrap(), 1e-3);
         step(&mut control, 0);
         control.cover.0.zero = Zero::Valid;
@@ -457,5 +507,88 @@ mod tests {
         assert!(!sample.mode.moves());
         step(&mut control, 3);
         assert!(control.plant.brakes);
+    }
+
+    /// A robot with a flange sensor, whose cover is tared.
+    fn with_flange_sensor(wrench: [f64; 6]) -> ControlLoop<Standing, Scripted> {
+        let mut config = Config::default();
+        config.plant.flange_sensor = FlangeSensorKind::Simulated;
+        let cover = Scripted(CoverState { frames_good: 1, zero: Zero::Invalid, ..CoverState::NONE });
+        let plant = Standing { flange: Some(wrench), ..Standing::default() };
+        let mut control = ControlLoop::new(plant, cover, supervisor(&config), motion(&config).unwrap(), 1e-3);
+        step(&mut control, 0);
+        control.cover.0.zero = Zero::Valid;
+        control
+    }
+
+    #[test]
+    fn flange_sensor_is_not_used_before_its_tare() {
+        let mut control = with_flange_sensor([3.0, 4.0, 12.0, 0.1, 0.2, 0.3]);
+        for tick in 1..500 {
+            let sample = step(&mut control, tick);
+            assert_eq!((sample.mode, sample.fault), (Mode::Taring, None), "tick {tick}");
+            // what the momentum observer makes of an arm that stands
+            let most = if tick < 200 { 90.0 } else { 1.0 };
+            assert!(sample.flange_wrench_world.iter().all(|value| value.abs() < most), "{sample:?}");
+        }
+        for tick in 500..510 {
+            step(&mut control, tick);
+        }
+        control.plant.flange = Some([3.0, 4.0, 17.0, 0.1, 0.2, 0.3]);
+        let sample = step(&mut control, 510);
+        assert_eq!(sample.mode, Mode::Impedance);
+        let [x, y, z, ..] = sample.flange_wrench_world;
+        assert!((x.hypot(y).hypot(z) - 5.0).abs() < 1e-2, "{:?}", sample.flange_wrench_world);
+        control.plant.flange = None;
+        let sample = step(&mut control, 511);
+        assert_eq!((sample.mode, sample.fault), (Mode::ProtectiveStop, Some(Fault::FlangeSensorStale)));
+    }
+
+    #[test]
+    fn refused_flange_tare_stops_with_its_reason() {
+        let mut control = with_flange_sensor([0.0; 6]);
+        for tick in 1..520_u64 {
+            let off_n = if tick.is_multiple_of(2) { 4.0 } else { -4.0 };
+            control.plant.flange = Some([off_n, 0.0, 0.0, 0.0, 0.0, 0.0]);
+            step(&mut control, tick);
+        }
+        let fault = control.ticked().sample.fault;
+        assert!(
+            matches!(fault, Some(Fault::FlangeZeroInvalid { why: FlangeTare::Noisy { axis: 0..3, .. } })),
+            "{fault:?}"
+        );
+        control.cover.0.zero = Zero::Refused;
+        control.plant.flange = Some([0.0; 6]);
+        let again = Some(Request::Tare);
+        control.tick(
+            &Slot { tick: 520, now_ns: 520_000_000, ticks: 1, ..Slot::default() },
+            again,
+            &mut Untimed,
+        );
+        control.cover.0.zero = Zero::Refused;
+        let faults: std::vec::Vec<_> = (521..1100).map(|tick| step(&mut control, tick).fault).collect();
+        assert_eq!(faults.last(), Some(&Some(Fault::ZeroInvalid)), "the cover's own refusal");
+    }
+
+    #[test]
+    fn reading_is_rounded_to_single_precision_before_it_is_used() {
+        let mut control = with_flange_sensor([0.1, -0.2, 0.0, 1e-3, 0.0, 7.0]);
+        step(&mut control, 1);
+        let single = [f64::from(0.1_f32), f64::from(-0.2_f32), 0.0, f64::from(1e-3_f32), 0.0, 7.0];
+        let mut read = control.ticked().input.flange.unwrap().wrench;
+        read[2] = 0.0; // it trembles
+        assert_eq!(read.map(f64::to_bits), single.map(f64::to_bits));
+        control.plant.flange = Some([1e300, 0.0, 0.0, 0.0, 0.0, 0.0]);
+        let fault = step(&mut control, 2).fault;
+        assert_eq!(fault, Some(Fault::FlangeSensorRange { axis: 0, milli: i32::MAX, milli_max: 300_000 }));
+    }
+
+    #[test]
+    fn lost_state_interrupts_flange_tare() {
+        let mut control = with_flange_sensor([0.0; 6]);
+        step(&mut control, 1);
+        assert_eq!(control.motion.flange_zero().0, Zero::Taring);
+        assert_eq!(control.motion.feel_flange(None, None, 1e-3), Ok(()));
+        assert_eq!(control.motion.flange_zero().0, Zero::Invalid);
     }
 }

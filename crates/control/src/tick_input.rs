@@ -1,5 +1,6 @@
 //! Inputs and results of one tick: all that a replay needs besides the board's bytes.
 
+use crate::flange_sensor::FlangeReading;
 use crate::plant::SourceAge;
 use crate::robot::JOINTS;
 use moca_msgs::{ArmLink, Fault, Outcome, Request, RobotState, STAGES};
@@ -33,6 +34,8 @@ pub struct TickInput {
     pub age: SourceAge,
     /// Report of a real arm on itself.
     pub link: Option<ArmLink>,
+    /// Newest reading of the flange sensor; `None` without one, or before its first.
+    pub flange: Option<FlangeReading>,
     /// Request of a client.
     pub request: Option<Request>,
     /// Answer to it.
@@ -51,6 +54,7 @@ impl Default for TickInput {
             state: Err(Fault::StateInvalid),
             age: SourceAge::default(),
             link: None,
+            flange: None,
             request: None,
             outcome: None,
             refused: None,

@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test that cannot go on has to stop")]
 
 use moca_control::config::Config;
-use moca_msgs::mode::Clearing;
+use moca_msgs::mode::{Clearing, FlangeTare};
 use moca_msgs::table::{ParameterKind, ParameterSpec, Size};
 use moca_msgs::{BoardFault, Fault, TaxelStatus};
 use std::fmt::Write;
@@ -136,6 +136,9 @@ fn fault_chapter_is_what_the_program_says() {
         ArmRefused,
         BaseStale,
         BaseLate,
+        FlangeSensorStale,
+        FlangeSensorRange { axis: 0, milli: 0, milli_max: 0 },
+        FlangeZeroInvalid { why: FlangeTare::Missing },
         StateInvalid,
         PlantLost,
         ControlRefused,

@@ -161,8 +161,14 @@ impl Rig {
             sim_s: 0.0,
         };
         rig.robot().world.set_people_waiting(true);
-        while !rig.tick(&Loads::default())?.moves() {
-            if let Some(cause) = &rig.stopped {
+        loop {
+            let mode = rig.tick(&Loads::default())?;
+            if mode.moves() {
+                break;
+            }
+            // what is missing at the start is waited for: a tool that nobody told of makes the arm sag, which refuses a tare
+            let cause = rig.stopped.take().filter(|_| matches!(mode, Mode::ProtectiveStop | Mode::Fault));
+            if let Some(cause) = cause {
                 bail!("the robot stopped before it was armed: {cause}");
             }
             ensure!(rig.sim_s < START_WITHIN_S, "the robot was not armed within {START_WITHIN_S} s");
@@ -192,7 +198,14 @@ impl Rig {
     /// Moves the flange's target with this velocity, m/s, world axes, from now on.
     pub fn move_target(&mut self, velocity_world: [f64; 3]) -> Result<()> {
         let [x, y, z] = velocity_world;
-        let twist = [x, y, z, 0.0, 0.0, 0.0];
+        self.set_target_twist([x, y, z, 0.0, 0.0, 0.0])
+    }
+
+    /// Moves the flange's target with this twist, world axes \[m/s; rad/s\], from now on.
+    ///
+    /// # Errors
+    /// A value that is not finite.
+    pub fn set_target_twist(&mut self, twist: [f64; 6]) -> Result<()> {
         match &mut self.cover {
             SensorModel::Board(lock_step) => lock_step.control.set_target_twist(twist)?,
             SensorModel::True(lock_step) => lock_step.control.set_target_twist(twist)?,

@@ -5,6 +5,7 @@ use crate::TAXELS;
 use crate::settings::{self, Sensor, Settings};
 use anyhow::{Context, Result, anyhow, bail, ensure};
 use moca_control::config::{AssumedModel, BarrierReadings, Config, ProtectionConfig};
+use moca_control::robot::FlangeSensorKind;
 use moca_lockstep::TrueForces;
 use moca_msgs::table::{FieldValue, ParameterKind, ParameterSpec, Size};
 use moca_sim::foam::Foam;
@@ -101,7 +102,7 @@ const KEYS: &[Key] = &[
     number!("sensor.noise", "counts", "stock board: standard deviation of one FDAT value", 0.0 to 100.0, noise_counts),
     words!("sensor.firmware", "virtual board: what runs on it", firmware,
         "moca" = Firmware::Moca, "stock-2018" = Firmware::Stock2018, "stock-2015" = Firmware::Stock2015),
-    words!("flange", "wrench at the flange: the true one, or the momentum observer's", flange_observed, "true" = false, "observed" = true),
+    key("flange", "true|observed|sensor", "wrench at the flange: the true one, the momentum observer's, or the simulated sensor's", flange),
     words!("belief", "what the controller believes of its base: the configuration's, or the stopping distance that commissioning of this \
         robot measures", belief_measured, "default" = false, "measured" = true),
     number!("step_ms", "ms", "physics step", 1e-3 to 100.0, step_ms),
@@ -150,6 +151,19 @@ const KEYS: &[Key] = &[
     number!("ramp_s", "s", "each of the two ramps of a push", 1e-3 to 1000.0, ramp_s),
     number!("rest_s", "s", "pause between pushes", 0.0 to 3600.0, rest_s),
 ];
+
+fn flange(s: &mut Settings, text: &str) -> Result<()> {
+    let none = FlangeSensorKind::None;
+    (s.flange_observed, s.config.plant.flange_sensor) = word(
+        text,
+        &[
+            ("true", (false, none)),
+            ("observed", (true, none)),
+            ("sensor", (true, FlangeSensorKind::Simulated)),
+        ],
+    )?;
+    Ok(())
+}
 
 fn protection(s: &mut Settings, text: &str) -> Result<()> {
     s.config.protection = match text {
@@ -502,6 +516,13 @@ mod tests {
             ("foam.kind", "foam.kind", "cc"),
             ("foam.creep", "foam.creep", "0.1"),
             ("sensor.extra_age_ms", "sensor.extra_age_ms", "5"),
+            ("flange_sensor.bias_n", "flange_sensor.bias_n", "1,2,3"),
+            ("flange_sensor.bias_nm", "flange_sensor.bias_nm", "1,2,3"),
+            ("flange_sensor.noise_n", "flange_sensor.noise_n", "0.5"),
+            ("flange_sensor.noise_nm", "flange_sensor.noise_nm", "0.02"),
+            ("flange_sensor.drift_n_s", "flange_sensor.drift_n_s", "0.01"),
+            ("flange_sensor.drift_nm_s", "flange_sensor.drift_nm_s", "0.001"),
+            ("flange_sensor.delay_ms", "flange_sensor.delay_ms", "5"),
         ];
         let mut rows = 0;
         Config::default().simulation.truth.each(&mut |row, _| {

@@ -74,7 +74,7 @@ impl RunInfo {
             experiment,
             sensor: settings.sensor.name(),
             foam: settings.foam.material.name,
-            flange: if settings.flange_observed { "observed" } else { "true" },
+            flange: settings.flange_source(),
             engine: settings.engine.reason(),
             steps: Steps::of(settings, rig),
             frame_rate_hz: (settings.sensor == settings::Sensor::Stock).then_some(rig.frame_rate_hz),

@@ -4,6 +4,7 @@ use anyhow::{Context, Result, ensure};
 use moca_control::config::{
     AssumedModel, BarrierReadings, Config, HandConfig, OVERRIDE_MAX_M_S, ProtectionConfig, RecentrePolicy,
 };
+use moca_control::robot::FlangeSensorKind;
 use moca_lockstep::TrueForces;
 use moca_lockstep::simulated_robot;
 use moca_msgs::Law;
@@ -157,7 +158,7 @@ pub struct Settings {
     pub noise_counts: Option<f64>,
     /// Firmware of the virtual board.
     pub firmware: Firmware,
-    /// The wrench at the flange is what the momentum observer makes of it; else the true one.
+    /// The robot is not told the true wrench at the flange: it has the momentum observer's, or its flange sensor's.
     pub flange_observed: bool,
     /// Foam of the cover.
     pub foam: FoamSettings,
@@ -295,6 +296,15 @@ impl Settings {
         match truth.kind.0 {
             Some(_) => simulated_robot::true_foam(&self.config),
             None => self.foam.foam().as_is(truth),
+        }
+    }
+
+    /// Source of the wrench at the flange, as the key `flange` names it.
+    pub const fn flange_source(&self) -> &'static str {
+        match (self.config.plant.flange_sensor, self.flange_observed) {
+            (FlangeSensorKind::None, false) => "true",
+            (FlangeSensorKind::None, true) => "observed",
+            (FlangeSensorKind::Simulated | FlangeSensorKind::Own, _) => "sensor",
         }
     }
 

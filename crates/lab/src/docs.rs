@@ -8,7 +8,7 @@ mod data;
 use crate::cover::latency;
 use crate::numerics::{barrier, bench, peers, stability, tick};
 use crate::paper::report::{claims, errors};
-use crate::paper::{late_bases, real_arm};
+use crate::paper::{flange_wrench, late_bases, real_arm};
 use crate::robustness::{attack, faults, lean, long_lean, protection};
 use anyhow::{Context, Result, bail, ensure};
 use moca_experiments::{c_library, count};
@@ -49,6 +49,7 @@ const TABLES: &[Table] = &[
     table("paper", "docs/results.md", claims::markdown),
     table("late-bases", "docs/results.md", late_bases::markdown),
     table("real-arm", "docs/data/real-arm.csv", real_arm::markdown),
+    table("flange-wrench", "docs/data/flange-wrench.csv", flange_wrench::markdown),
     table("barrier", "docs/math.md", barrier::markdown),
     table("protection-short", "docs/data/protection-short.csv", protection::markdown),
     table("protection-leads", "docs/data/protection-leads.csv", protection::leads_markdown),
@@ -210,6 +211,7 @@ mod tests {
     printed! {
         table_paper_matches_the_experiments: "paper",
         table_of_late_bases_matches_the_collisions: "late-bases",
+        table_of_flange_wrenches_matches_its_file: "flange-wrench",
         table_protection_campaign_matches_its_file: "protection-campaign",
         table_of_drawn_meetings_matches_their_file: "protection-random",
         what_a_step_needs_is_what_it_is_held_to: "step-size",
@@ -330,6 +332,21 @@ mod tests {
                 ("| off | 0.13 | 6.03 | 12.30 | 4.14 | 17.29 |", "push T1 20 N | off"),
                 ("| on | 0.13 | 0.16 | 0.19 | 2.33 | 2.34 |", "push T1 20 N | on |"),
                 ("| 0.13 | 0.16 | 0.19 | 0.90 | 1.00 |", "push T1 20 N | on, 80 %"),
+            ],
+        ),
+        (
+            "docs/results.md",
+            "flange-wrench",
+            &[
+                ("| as believed | true | 0.00 | 0.00 | 0.00 | 0.504 |", "as believed | true"),
+                ("| as believed | observer | 0.21 | 0.12 | 0.00 | 0.503 |", "as believed | observer"),
+                ("| as believed | sensor | 0.16 | 0.15 | 0.12 | 0.504 |", "as believed | sensor"),
+                ("| observer | 4.23 | 1.70 | 1.07 | 0.318 |", "friction 1 N·m | observer"),
+                ("| sensor | 0.16 | 0.15 | 0.12 | 0.504 |", "friction 1 N·m | sensor"),
+                ("| sensor | 0.15 | 0.12 | 0.18 | 0.504 |", "believed tool of 1 kg, turned | sensor"),
+                ("| observer | 0.30 | 0.28 | 9.81 | 0.502 |", "unknown tool of 1 kg | observer"),
+                ("| sensor | 0.17 | 0.16 | 0.13 | 0.503 |", "unknown tool of 1 kg | sensor"),
+                ("| sensor | 4.16 | 5.63 | 3.06 | 0.448 |", "unknown tool of 1 kg, turned | sensor"),
             ],
         ),
         (

@@ -3,8 +3,9 @@
 use crate::inject::{FaultSite, Injection, PlantSpoiler};
 use crate::scripted_press::scripted_press;
 use moca_control::config::{Config, HandConfig};
+use moca_control::flange_sensor::{FlangeReading, FlangeSensor};
 use moca_control::plant::{Plant, Simulated, SourceAge};
-use moca_control::robot::{CoverTable, FoamKind, JOINTS, Parts, TAXELS, together};
+use moca_control::robot::{CoverTable, FlangeSensorKind, FoamKind, JOINTS, Parts, TAXELS, together};
 use moca_control::stopping::{Ladder, Stop};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::{Actuation, Fault, Outcome, Payload, Refusal, RobotCommand, RobotState, TrueArm};
@@ -46,6 +47,9 @@ pub fn free_scene(config: &Config) -> Scene {
         control_period_s,
         physics_step_s: control_period_s / substeps,
         base_link: truth.base,
+        flange_sensor_origin: (config.plant.flange_sensor == FlangeSensorKind::Simulated)
+            .then_some(config.plant.flange_sensor_origin),
+        flange_truth: truth.flange_sensor,
         seed: config.simulation.seed,
         ..Scene::new(
             &truth.arm.applied(config.arm()),
@@ -151,6 +155,8 @@ pub struct SimulatedRobot {
     period_s: f64,
     ticks: u64,
     measured: bool,
+    /// Last reading of a flange sensor that has fallen silent, and its tick.
+    silent_flange: Option<([f64; 6], u64)>,
 }
 
 impl SimulatedRobot {
@@ -179,6 +185,7 @@ impl SimulatedRobot {
             period_s,
             ticks: 0,
             measured: false,
+            silent_flange: None,
         })
     }
 
@@ -199,6 +206,12 @@ impl SimulatedRobot {
             FaultSite::MissedSlots(slots) => self.stall = Some((at_tick, slots)),
             FaultSite::Cable(_) | FaultSite::Outside(_) => {}
         }
+    }
+
+    /// Makes the flange sensor repeat its present reading, which gets older, or renew it again. No effect without a sensor.
+    pub fn set_flange_sensor_silent(&mut self, silent: bool) {
+        let last = self.world.flange_reading().filter(|_| silent);
+        self.silent_flange = last.map(|wrench| (wrench, self.ticks));
     }
 
     fn tell_boards(&mut self) {
@@ -230,12 +243,27 @@ impl SimulatedRobot {
     }
 }
 
+impl FlangeSensor for SimulatedRobot {
+    fn latest(&mut self) -> Option<FlangeReading> {
+        let Some((wrench, since)) = self.silent_flange else {
+            return self.world.flange_reading().map(|wrench| FlangeReading { wrench, age_s: 0.0 });
+        };
+        #[expect(clippy::cast_precision_loss, reason = "tick counts are far below 2^53")]
+        let age_s = (self.ticks - since) as f64 * self.period_s;
+        Some(FlangeReading { wrench, age_s })
+    }
+}
+
 impl Plant for SimulatedRobot {
     fn read(&mut self) -> Result<RobotState<JOINTS>, Fault> {
         match &mut self.spoiler {
             Some(spoiler) => spoiler.read(self.world.state()),
             None => Ok(self.world.state()),
         }
+    }
+
+    fn flange_sensor(&mut self) -> Option<&mut dyn FlangeSensor> {
+        Some(self)
     }
 
     fn age(&self) -> SourceAge {

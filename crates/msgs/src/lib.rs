@@ -54,7 +54,7 @@ pub use target::{
     RobotPart, Target, TargetRefusal, TargetState, TimedTarget, TouchPolicy, TwistAxes, Waypoint,
 };
 pub use taxel::{CoverReading, TaxelReading, TaxelStatus};
-pub use truth::{TrueArm, TrueBase, TrueFoam, TrueFoamKind, TrueSensor, Truth};
+pub use truth::{TrueArm, TrueBase, TrueFlangeSensor, TrueFoam, TrueFoamKind, TrueSensor, Truth};
 
 /// A time of the loop, ns, as seconds.
 ///

@@ -175,6 +175,80 @@ pub enum Fault {
     },
     /// The base needed a longer way to stop than its speed limit allows for.
     BaseLate,
+    /// The flange sensor sends no new wrench: none at all, one older than its deadline, or the same bits again and again.
+    FlangeSensorStale,
+    /// A reading is outside the range of the flange sensor.
+    FlangeSensorRange {
+        /// 0 to 2 is force, 3 to 5 moment, along x, y, z of the sensor.
+        axis: u8,
+        /// Reading, mN or mN·m.
+        milli: i32,
+        /// Largest magnitude in range, mN or mN·m.
+        milli_max: u32,
+    },
+    /// The flange sensor has no valid zero.
+    FlangeZeroInvalid {
+        /// Why.
+        why: FlangeTare,
+    },
+}
+
+/// Largest joint speed at which a flange sensor is tared, rad/s.
+pub const FLANGE_TARE_SPEED_RAD_S: f64 = 0.02;
+/// Largest standard deviation of each axis of a flange sensor that is tared, N and N·m. ASSUMED: a few times the noise of such sensors.
+pub const FLANGE_TARE_NOISE: [f64; 2] = [3.0, 0.3];
+
+/// Reason why a flange sensor has no zero.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum FlangeTare {
+    /// It has not been tared, or its last tare was interrupted.
+    Missing,
+    /// The arm moved during the tare.
+    Moved {
+        /// 0 is the first joint.
+        joint: u8,
+        /// Speed, mrad/s.
+        mrad_s: u32,
+    },
+    /// The wrench was not steady during the tare.
+    Noisy {
+        /// 0 to 2 is force, 3 to 5 moment, along x, y, z of the flange.
+        axis: u8,
+        /// Standard deviation, mN or mN·m.
+        milli: u32,
+    },
+}
+
+/// Value, unit and allowed range.
+impl fmt::Display for FlangeTare {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Missing => f.write_str("The flange sensor has no zero."),
+            Self::Moved { joint, mrad_s } => write!(
+                f,
+                "Joint {} moved at {:.3} rad/s during the tare of the flange sensor; allowed: 0 to {FLANGE_TARE_SPEED_RAD_S} rad/s.",
+                u16::from(joint) + 1,
+                1e-3 * f64::from(mrad_s)
+            ),
+            Self::Noisy { axis, milli } => {
+                let (name, unit) = wrench_axis(axis);
+                let [force_n, moment_nm] = FLANGE_TARE_NOISE;
+                let most = if axis < 3 { force_n } else { moment_nm };
+                let deviation = 1e-3 * f64::from(milli);
+                write!(
+                    f,
+                    "{name} of the flange sensor varied by {deviation:.3} {unit} during its tare; allowed: 0 to {most} {unit}."
+                )
+            }
+        }
+    }
+}
+
+/// Name and unit of an axis of a wrench.
+fn wrench_axis(axis: u8) -> (&'static str, &'static str) {
+    let name = ["fx", "fy", "fz", "mx", "my", "mz"].get(usize::from(axis)).unwrap_or(&"an axis");
+    (name, if axis < 3 { "N" } else { "N·m" })
 }
 
 /// Action required before a stop can be resumed, in addition to removing its cause.
@@ -237,6 +311,9 @@ codes!(Fault {
     ArmUserStopped: "arm-user-stopped",
     ArmRefused: "arm-refused",
     BaseLate: "base-late",
+    FlangeSensorStale: "flange-sensor-stale",
+    FlangeSensorRange: "flange-sensor-range",
+    FlangeZeroInvalid: "flange-zero-invalid",
 } Fault::Board { fault, .. } => fault.code());
 
 impl BoardFault {
@@ -328,6 +405,9 @@ impl Fault {
             Self::ArmUserStopped => "The arm's user stop is pressed.",
             Self::ArmRefused => "The arm answers, but it does not let itself be controlled.",
             Self::BaseLate => "The base stopped later than its measured stopping distance says.",
+            Self::FlangeSensorStale => "The flange sensor sends no new wrench.",
+            Self::FlangeSensorRange { .. } => "A reading is outside the flange sensor's range.",
+            Self::FlangeZeroInvalid { .. } => "The flange sensor has no valid zero.",
         }
     }
 
@@ -354,8 +434,10 @@ impl Fault {
             | Self::FlangeSpeed
             | Self::PoseError
             | Self::ArmStretched { .. }
-            | Self::BaseLate => Clearing::Resume,
-            Self::TaxelInvalid { .. } | Self::ZeroInvalid => Clearing::Tare,
+            | Self::BaseLate
+            | Self::FlangeSensorStale
+            | Self::FlangeSensorRange { .. } => Clearing::Resume,
+            Self::TaxelInvalid { .. } | Self::ZeroInvalid | Self::FlangeZeroInvalid { .. } => Clearing::Tare,
             Self::StateInvalid | Self::PlantLost | Self::ControlRefused => Clearing::Restart,
         }
     }
@@ -364,7 +446,9 @@ impl Fault {
     pub const fn a_tare_may_end_it(self) -> bool {
         use crate::TaxelStatus::{Dead, Drifted, NoZero, Noisy, Stuck};
         match self {
-            Self::ZeroInvalid | Self::Board { fault: BoardFault::CommonMode, .. } => true,
+            Self::ZeroInvalid
+            | Self::FlangeZeroInvalid { .. }
+            | Self::Board { fault: BoardFault::CommonMode, .. } => true,
             Self::TaxelInvalid { status, .. } => matches!(status, Dead | Drifted | NoZero | Noisy | Stuck),
             _ => false,
         }
@@ -372,7 +456,14 @@ impl Fault {
 
     /// Returns true if a part of the robot is missing: a robot that has not moved yet waits for it.
     pub const fn is_absence(self) -> bool {
-        matches!(self, Self::ArmStale | Self::BaseStale | Self::ArmUserStopped | Self::ArmRefused)
+        matches!(
+            self,
+            Self::ArmStale
+                | Self::BaseStale
+                | Self::FlangeSensorStale
+                | Self::ArmUserStopped
+                | Self::ArmRefused
+        )
     }
 
     /// Returns the remedy for the operator.
@@ -387,6 +478,15 @@ impl Fault {
             }
             Self::ArmStale | Self::BaseStale => {
                 "Check the robot's network and drives; when states come again: resume."
+            }
+            Self::FlangeSensorStale => {
+                "Check the flange sensor's cable and driver; when its wrench comes again: resume."
+            }
+            Self::FlangeSensorRange { .. } => {
+                "Free anyone caught, take the load off the sensor, and check its reading and range; then resume."
+            }
+            Self::FlangeZeroInvalid { .. } => {
+                "Let the arm stand, with nothing touching its tool, and tare, then resume."
             }
             Self::ArmReflex => "Free anyone caught. Press Resume once to recover the arm, again to continue.",
             Self::ArmUserStopped => "Release the user stop when it is safe; then resume.",
@@ -419,6 +519,16 @@ impl fmt::Display for Fault {
             ),
             Self::TaxelInvalid { taxel, status } => {
                 write!(f, "T{} is {}. {}", u16::from(taxel) + 1, status.name(), self.remedy())
+            }
+            Self::FlangeZeroInvalid { why } => write!(f, "{why} {}", self.remedy()),
+            Self::FlangeSensorRange { axis, milli, milli_max } => {
+                let (name, unit) = wrench_axis(axis);
+                let [read, most] = [f64::from(milli), f64::from(milli_max)].map(|milli| 1e-3 * milli);
+                let remedy = self.remedy();
+                write!(
+                    f,
+                    "The flange sensor read {name} = {read:.3} {unit}; its range: -{most} to {most} {unit}. {remedy}"
+                )
             }
             _ => write!(f, "{} {}", self.text(), self.remedy()),
         }
@@ -463,6 +573,9 @@ mod tests {
             Fault::PoseError,
             Fault::ArmStretched { joint: 3 },
             Fault::BaseLate,
+            Fault::FlangeSensorStale,
+            Fault::FlangeSensorRange { axis: 4, milli: -31_000, milli_max: 30_000 },
+            Fault::FlangeZeroInvalid { why: FlangeTare::Missing },
         ];
         let pressed = Fault::TaxelInvalid { taxel: 3, status: TaxelStatus::Saturated };
         assert!(pressed.to_string().starts_with("T4 is at its end. Free anyone who presses there."));

@@ -307,7 +307,7 @@ impl fmt::Display for Refusal {
                 );
             }
             Self::Recovering => "the arm is being recovered from its reflex: resume again when it is idle",
-            Self::ZeroInvalid => "the cover has no valid zero: tare first",
+            Self::ZeroInvalid => "the cover or the flange sensor has no valid zero: tare first",
             Self::NoRobot => "the daemon runs a cover without a robot",
             Self::NotSimulated => "only a simulated robot can be pushed by request",
             Self::OutOfRange => "a number is out of range",

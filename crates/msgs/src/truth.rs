@@ -70,6 +70,28 @@ crate::parameter_table! {
     }
 }
 
+crate::parameter_table! {
+    /// Errors of a simulated force-torque sensor at the flange.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct TrueFlangeSensor in "simulation.true.flange_sensor" {
+        /// Force that it reads without a load, its own axes.
+        bias_n: [f64; 3] = [0.0, 0.0, 0.0] => [.range(-200.0, 200.0).units(&["N"]).lab("true.flange_sensor.bias_n")];
+        /// Moment that it reads without a load, its own axes.
+        bias_nm: [f64; 3] = [0.0, 0.0, 0.0]
+            => [.range(-20.0, 20.0).units(&["N·m"]).lab("true.flange_sensor.bias_nm")];
+        /// Standard deviation of each axis of the force, drawn for every control period. A sensor without noise would count as frozen.
+        noise_n: f64 = 0.1 => [.range(1e-4, 50.0).units(&["N"]).lab("true.flange_sensor.noise_n")];
+        /// Standard deviation of each axis of the moment, drawn for every control period.
+        noise_nm: f64 = 0.005 => [.range(1e-5, 5.0).units(&["N·m"]).lab("true.flange_sensor.noise_nm")];
+        /// Rate at which the bias of each axis of the force grows.
+        drift_n_s: f64 = 0.0 => [.range(-10.0, 10.0).units(&["N/s"]).lab("true.flange_sensor.drift_n_s")];
+        /// Rate at which the bias of each axis of the moment grows.
+        drift_nm_s: f64 = 0.0 => [.range(-1.0, 1.0).units(&["N·m/s"]).lab("true.flange_sensor.drift_nm_s")];
+        /// Age of a reading when it arrives, of which the controller is not told.
+        delay_ms: f64 = 0.0 => [.range(0.0, 1000.0).units(&["ms"]).lab("true.flange_sensor.delay_ms")];
+    }
+}
+
 /// Kind of a foam that may be another than the one described.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TrueFoamKind(pub Option<FoamKind>);
@@ -116,6 +138,8 @@ pub struct Truth {
     pub foam: TrueFoam,
     /// `[simulation.true.sensor]`
     pub sensor: TrueSensor,
+    /// `[simulation.true.flange_sensor]`
+    pub flange_sensor: TrueFlangeSensor,
 }
 
 impl Truth {
@@ -125,6 +149,7 @@ impl Truth {
         self.arm.each(visit);
         self.foam.each(visit);
         self.sensor.each(visit);
+        self.flange_sensor.each(visit);
     }
 }
 

@@ -157,7 +157,7 @@ impl Odometry {
 }
 
 /// Nearest number of control periods, 0 for a negative time.
-fn ticks(ms: f64, period_s: f64) -> usize {
+pub(crate) fn ticks(ms: f64, period_s: f64) -> usize {
     #[expect(
         clippy::cast_possible_truncation,
         clippy::cast_sign_loss,

@@ -14,6 +14,7 @@ mod base_link;
 pub mod board;
 pub mod contact;
 mod error;
+mod flange_sensor;
 pub mod foam;
 mod joint_friction;
 mod mechanics;

@@ -2,6 +2,7 @@
 
 use crate::SimError;
 use crate::base_link::{BaseLink, Motion};
+use crate::flange_sensor::FlangeSensor;
 use crate::joint_friction::JointFriction;
 use crate::mechanics::{self, Mechanics};
 use crate::mjcf::SERVO_DAMPING;
@@ -10,6 +11,7 @@ use crate::people::{CoverInstant, Felt, People, Step};
 use crate::scene::{Integrator, Robot, Scene};
 use crate::stepping::{End, Repeatable, Start, Stepping, StepsSpent};
 use moca_msgs::{Actuation, MAX_JOINTS, MAX_TAXELS, RobotCommand, RobotState};
+use moca_wbc::nalgebra::Matrix3;
 
 /// Largest push of the wheels before they slip: N, N, N·m (about 0.8 of the weight). ASSUMED.
 const TRACTION: [f64; 3] = [1000.0, 1000.0, 400.0];
@@ -51,7 +53,7 @@ pub struct ModelSize {
 /// The simulated robot with everything that can push it.
 #[derive(Debug)]
 pub struct SimPlant {
-    mechanics: Box<dyn Mechanics>,
+    pub(crate) mechanics: Box<dyn Mechanics>,
     scene: Scene,
     substeps: u32,
     /// Choice of steps for a period, if the scene asks for an accuracy.
@@ -71,6 +73,8 @@ pub struct SimPlant {
     link: BaseLink,
     /// Friction and noise of the joints, if there are any.
     friction: Option<JointFriction>,
+    /// Sensor at the flange, if there is one.
+    flange_sensor: Option<FlangeSensor>,
     pressed_n: [f64; K],
     /// In the last step.
     felt: Felt,
@@ -112,6 +116,10 @@ impl SimPlant {
             },
             link: BaseLink::new(&scene.base_link, scene.control_period_s, scene.seed),
             friction: JointFriction::new(&scene.arm_joints, scene.seed),
+            flange_sensor: scene.flange_sensor_origin.map(|origin| {
+                let (truth, payload) = (&scene.flange_truth, scene.payload.inertial);
+                FlangeSensor::new(truth, &origin, payload, scene.control_period_s, scene.seed)
+            }),
             pressed_n: [0.0; K],
             felt: Felt::NOTHING,
             taxel_force_mean_n: [0.0; K],
@@ -120,6 +128,10 @@ impl SimPlant {
             torque_nm: [0.0; MAX_JOINTS],
         };
         plant.set_state(&scene.base_pose_world, &[0.0; 3], &scene.arm_posture_rad, &[0.0; MAX_JOINTS]);
+        // a sensor has been on for longer than its delay
+        for _ in 0..plant.flange_sensor.as_ref().map_or(0, FlangeSensor::count) {
+            plant.measure_flange();
+        }
         Ok(plant)
     }
 
@@ -188,7 +200,15 @@ impl SimPlant {
         if let Some(motion) = self.base_motion() {
             self.link.moved(motion);
         }
+        self.measure_flange();
         Ok(())
+    }
+
+    fn measure_flange(&mut self) {
+        let Some(sensor) = &mut self.flange_sensor else { return };
+        if let Some(axes) = self.mechanics.flange_rotation_world() {
+            sensor.measure(&self.flange_wrench_world, &Matrix3::from_row_slice(&axes));
+        }
     }
 
     /// True motion of the base, if there is one.
@@ -255,6 +275,12 @@ impl SimPlant {
         finite("flange wrench", &wrench)?;
         self.flange_wrench_world = wrench;
         Ok(())
+    }
+
+    /// Newest reading of the sensor at the flange, its own axes about its origin \[N; N·m\]; `None` without sensor or arm. It
+    /// has the flange's orientation as of the start of its period's last physics step.
+    pub fn flange_reading(&self) -> Option<[f64; 6]> {
+        self.flange_sensor.as_ref().and_then(FlangeSensor::latest)
     }
 
     /// True force on each taxel over the last physics step (under [`Integrator::Leapfrog`] at its end), N, T1 first.

@@ -3,10 +3,11 @@
 use crate::base_link::BaseLink;
 use crate::contact::Tissue;
 use crate::error::{SimError, within};
+use crate::flange_sensor::FlangeSensor;
 use crate::foam::Foam;
 use crate::joint_friction;
 use moca_msgs::robot::{AnyArm, BaseTable, LinkCapsule, Mount, Payload, TaxelPlacement};
-use moca_msgs::{MAX_JOINTS, MAX_TAXELS, TrueArm, TrueBase};
+use moca_msgs::{MAX_JOINTS, MAX_TAXELS, TrueArm, TrueBase, TrueFlangeSensor};
 
 /// Which parts of the robot exist.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -259,6 +260,11 @@ pub struct Scene {
     pub joint_limits: bool,
     /// A sensor that reports the true wrench at the flange as the robot's own estimate.
     pub flange_sensor: bool,
+    /// Place of a force-torque sensor between flange and payload, in the flange's axes: x, y, z m; roll, pitch, yaw rad. `None`
+    /// without one.
+    pub flange_sensor_origin: Option<[f64; 6]>,
+    /// Errors of that sensor.
+    pub flange_truth: TrueFlangeSensor,
     /// Foam of the cover.
     pub foam: Foam,
     /// The scene as a user of MuJoCo alone would write it: floor, base, links and people as geoms that collide, a touch
@@ -312,6 +318,8 @@ impl Scene {
             arm_joints: TrueArm::AS_DESCRIBED,
             joint_limits: true,
             flange_sensor: false,
+            flange_sensor_origin: None,
+            flange_truth: TrueFlangeSensor::default(),
             foam: Foam::default(),
             geoms: false,
             capsules: Vec::new(),
@@ -401,6 +409,7 @@ impl Scene {
         }
         let is_explicit = self.integrator == Integrator::RungeKutta4;
         joint_friction::check(&self.arm_joints, is_explicit, self.robot != Robot::BaseOnly)?;
+        FlangeSensor::check(&self.flange_truth, self.flange_sensor_origin.as_ref())?;
         within("base.servo_time_constant", "s", &[self.base.servo_time_constant_s], 1e-4, 10.0)?;
         let (linear, yaw) = (self.base.acceleration_max_m_s2, self.base.yaw_acceleration_max_rad_s2);
         within("base.acceleration", "m/s², rad/s²", &[linear, yaw], 1e-3, 1e4)?;

@@ -8,7 +8,7 @@ use super::{
 };
 use crate::approach::STOPS;
 use crate::compensation::SHORTEST_S;
-use crate::robot::{BaseDriver, Believed, Parts, PlantKind};
+use crate::robot::{ArmDriver, BaseDriver, Believed, FlangeSensorKind, Parts, PlantKind};
 use moca_msgs::ParameterValues;
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::robot::Drive;
@@ -43,6 +43,7 @@ pub(super) fn check(config: &Config, report: Report<'_>) {
     timeout(config, report);
     carried(config, report);
     compensation(config, report);
+    flange_sensor(config, report);
     super::self_collision::check(config, report);
 }
 
@@ -70,6 +71,49 @@ fn compensation(config: &Config, report: Report<'_>) {
             format!(
                 "{name} = {time_s} s follows the momentum observer, which does not run with plant.arm.external_wrench = \"arm\"; \
                  set that to \"ours\", or {name} to 0"
+            ),
+        );
+    }
+}
+
+/// A flange sensor needs an arm that has one, and is the only source of the wrench.
+fn flange_sensor(config: &Config, report: Report<'_>) {
+    let (plant, name) = (&config.plant, "plant.flange_sensor");
+    let word = match plant.flange_sensor {
+        FlangeSensorKind::None => return,
+        FlangeSensorKind::Simulated => "simulated",
+        FlangeSensorKind::Own => "own",
+    };
+    if plant.kind == PlantKind::None || !plant.parts.has_arm() {
+        report(name, format!("{name} = \"{word}\" needs an arm; allowed without one: \"none\""));
+        return;
+    }
+    let is_simulated = plant.kind == PlantKind::Simulated || plant.arm.driver == ArmDriver::Simulated;
+    if is_simulated != (plant.flange_sensor == FlangeSensorKind::Simulated) {
+        let (arm, allowed) = if is_simulated { ("simulated", "simulated") } else { ("real", "own") };
+        report(
+            name,
+            format!(
+                "{name} = \"{word}\" is of another arm than this one; allowed with a {arm} arm: \"none\", \"{allowed}\""
+            ),
+        );
+    }
+    if plant.arm.external_wrench == Believed::Arm {
+        report(
+            name,
+            format!(
+                "{name} = \"{word}\" and plant.arm.external_wrench = \"arm\" both give the wrench at the flange; set the first \
+                 to \"none\" or the second to \"ours\""
+            ),
+        );
+    }
+    let (name, time_s) = ("control.compensation.time_s", config.control.compensation.time_s);
+    if time_s > 0.0 {
+        report(
+            name,
+            format!(
+                "{name} = {time_s} s follows the momentum observer, which does not run with plant.flange_sensor = \"{word}\"; set \
+                 that to \"none\", or {name} to 0 s"
             ),
         );
     }

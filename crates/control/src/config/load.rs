@@ -712,6 +712,55 @@ mod tests {
     }
 
     #[test]
+    fn flange_sensor_needs_its_arm_and_is_the_only_source() {
+        let simulated = "[plant]\nflange_sensor = \"simulated\"\n";
+        assert!(Config::parse(simulated).is_ok());
+        let own = "[plant]\nkind = \"robot\"\nparts = \"arm\"\nflange_sensor = \"own\"\n";
+        assert!(Config::parse(own).is_ok());
+        for (toml, parts) in [
+            (
+                "[plant]\nflange_sensor = \"glued\"\n".to_owned(),
+                ["plant.flange_sensor = \"glued\"", "\"own\""],
+            ),
+            (
+                "[plant]\nparts = \"base\"\nflange_sensor = \"simulated\"\n".to_owned(),
+                ["plant.flange_sensor = \"simulated\" needs an arm", "allowed without one: \"none\""],
+            ),
+            (
+                "[plant]\nflange_sensor = \"own\"\n".to_owned(),
+                ["plant.flange_sensor = \"own\"", "allowed with a simulated arm: \"none\", \"simulated\""],
+            ),
+            (
+                own.replace("own", "simulated"),
+                ["plant.flange_sensor = \"simulated\"", "allowed with a real arm: \"none\", \"own\""],
+            ),
+            (
+                format!("{simulated}[plant.arm]\nexternal_wrench = \"arm\"\n"),
+                ["plant.arm.external_wrench = \"arm\" both give", "\"ours\""],
+            ),
+            (
+                format!("{simulated}[control.compensation]\ntime_s = 0.5\n"),
+                [
+                    "control.compensation.time_s = 0.5 s follows the momentum observer",
+                    "or control.compensation.time_s to 0 s",
+                ],
+            ),
+            (
+                format!("{simulated}flange_sensor_deadline_s = 2.0\n"),
+                ["flange_sensor_deadline_s = 2", "0.001 to 1 s"],
+            ),
+            (
+                "[simulation.true.flange_sensor]\nnoise_n = -1.0\n".to_owned(),
+                ["simulation.true.flange_sensor.noise_n = -1", "0.0001 to 50 N"],
+            ),
+        ] {
+            let found = mistakes(&toml);
+            let said = |one: &String| parts.iter().all(|part| one.contains(part));
+            assert!(found.iter().any(said), "{toml}: {found:?}");
+        }
+    }
+
+    #[test]
     fn geometry_without_sense_is_refused() {
         let cover = |key: &str, taxel: usize, value: f64| {
             let mut config = Config::default();

@@ -20,7 +20,9 @@ pub use own_arm::OwnArm;
 pub use ports::{AUTO_PORT, NAMED_PORT, Ports};
 pub use ros2::Ros2Config;
 
-use crate::robot::{Arm, ArmDriver, BaseDriver, Believed, JOINTS, Parts, PlantKind, Robot, TAXELS};
+use crate::robot::{
+    Arm, ArmDriver, BaseDriver, Believed, FlangeSensorKind, JOINTS, Parts, PlantKind, Robot, TAXELS,
+};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::robot::AnyArm;
 use moca_msgs::table::{Field, ParameterSpec};
@@ -159,6 +161,16 @@ parameter_table! {
         kind: PlantKind = PlantKind::Simulated;
         /// Which parts the robot has.
         parts: Parts = Parts::Whole;
+        /// Force-torque sensor between flange and tool: "simulated" is that of a simulated arm, "own" that of a program that runs the
+        /// loop as a library. With one the laws do not use the momentum observer.
+        flange_sensor: FlangeSensorKind = FlangeSensorKind::None;
+        /// Place of that sensor in the flange's axes: x, y, z; roll, pitch, yaw.
+        flange_sensor_origin: [f64; 6] = [0.0; 6]
+            => [.range(-7.0, 7.0).units(&["m", "m", "m", "rad", "rad", "rad"])];
+        /// Oldest wrench of that sensor that is controlled with.
+        flange_sensor_deadline_s: f64 = 0.010 => [.range(0.001, 1.0).units(&["s"])];
+        /// Largest force and moment along an axis that the sensor can read. ASSUMED: a usual 6-axis sensor for collaborative arms.
+        flange_sensor_range: [f64; 2] = [300.0, 30.0] => [.range(0.1, 1e4).units(&["N", "N·m"])];
     }
     besides {
         /// `[plant.arm]`

@@ -1,6 +1,7 @@
 //! A base behind ROS 2 under whatever arm there is: the arm's plant is asked for everything but the base.
 
 use crate::config::Config;
+use crate::control::flange_sensor::FlangeSensor;
 use crate::control::plant::{Datagram, Plant, PlantClock, SourceAge};
 use crate::robot::JOINTS;
 use crate::runtime::realtime::Raised;
@@ -96,6 +97,10 @@ impl<A: Plant> Plant for OnRos2Base<A> {
 
     fn recover(&mut self) -> Outcome {
         self.arm.recover()
+    }
+
+    fn flange_sensor(&mut self) -> Option<&mut dyn FlangeSensor> {
+        self.arm.flange_sensor()
     }
 
     fn write(&mut self, actuation: &Actuation<JOINTS>, ticks: u64) -> Result<(), Fault> {

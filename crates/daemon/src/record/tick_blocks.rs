@@ -2,6 +2,7 @@
 //! by which a replay knows whether it does the same. How long a tick's stages took is noise that nothing follows from: it is
 //! left out, and a viewer's samples have the longest of each 20 ms.
 
+use crate::control::flange_sensor::FlangeReading;
 use crate::control::plant::SourceAge;
 use crate::control::tick_input::{Slot, TickInput};
 use crate::record::tick_log::{PortEvent, TickRecord};
@@ -22,6 +23,7 @@ const SAMPLE_BYTES: usize = 2048;
 const STATE_KNOWN: u64 = 1;
 const WRENCH_KNOWN: u64 = 2;
 const SAMPLE_KNOWN: u64 = 4;
+const FLANGE_KNOWN: u64 = 8;
 
 /// A tick and the fingerprint of its sample; `None` where the sample never came.
 #[derive(Clone, Debug, PartialEq)]
@@ -216,6 +218,14 @@ pub fn encode(ticks: &[ComparedTick], period_s: f64) -> Vec<u8> {
         rare.extend(postcard::to_stdvec(&(further, links)).unwrap_or_default());
     }
     out.blob(&rare);
+    // Last, so that the log of a robot without a flange sensor keeps its form.
+    let readings: Vec<FlangeReading> = ticks.iter().filter_map(|tick| tick.record.input.flange).collect();
+    if !readings.is_empty() {
+        out.numbers(&readings.iter().map(|reading| reading.age_s).collect::<Vec<_>>(), None);
+        for axis in 0..6 {
+            out.numbers(&readings.iter().map(|reading| reading.wrench[axis]).collect::<Vec<_>>(), None);
+        }
+    }
     out.finish()
 }
 
@@ -225,6 +235,7 @@ fn flags(tick: &ComparedTick) -> u64 {
     flag(state.is_ok(), STATE_KNOWN)
         | flag(state.is_ok_and(|state| state.flange_wrench_world.is_some()), WRENCH_KNOWN)
         | flag(tick.sample.is_some(), SAMPLE_KNOWN)
+        | flag(tick.record.input.flange.is_some(), FLANGE_KNOWN)
 }
 
 fn step_s(slot: &Slot, period_s: f64) -> f64 {
@@ -328,6 +339,19 @@ pub fn decode(bytes: &[u8]) -> Result<Vec<ComparedTick>> {
     let (rare, behind): (Rare, &[u8]) = postcard::take_from_bytes(columns.reader.blob()?)?;
     let (further, links): (Further, Links) =
         if behind.is_empty() { Default::default() } else { postcard::from_bytes(behind)? };
+    let measured: Vec<usize> = (0..rows).filter(|row| has(*row, FLANGE_KNOWN)).collect();
+    let mut readings = vec![None; rows];
+    if !measured.is_empty() {
+        for (row, age_s) in measured.iter().zip(columns.numbers(None, measured.len())?) {
+            readings[*row] = Some(FlangeReading { wrench: [0.0; 6], age_s });
+        }
+        for axis in 0..6 {
+            for (reading, value) in readings.iter_mut().flatten().zip(columns.numbers(None, measured.len())?)
+            {
+                reading.wrench[axis] = value;
+            }
+        }
+    }
 
     let mut states = states.into_iter();
     let mut ticks = Vec::with_capacity(rows);
@@ -338,6 +362,7 @@ pub fn decode(bytes: &[u8]) -> Result<Vec<ComparedTick>> {
             state: state.context("a state is missing")?,
             age: SourceAge { arm_s: arm_s[row], base_s: base_s[row] },
             link: None,
+            flange: readings[row],
             request: None,
             outcome: None,
             refused: None,
@@ -411,6 +436,8 @@ mod tests {
             outcome: number.is_multiple_of(10).then_some(Err(Refusal::Mode(Mode::Ready))),
             link: (!(number / 30).is_multiple_of(3))
                 .then(|| ArmLink { lost: number / 40, ..ArmLink::default() }),
+            flange: (number > 20)
+                .then_some(FlangeReading { wrench: [x, -x, f64::NAN, -0.0, 1e9, 3.0 * x], age_s: 0.1 * x }),
             refused: (number == 17).then_some(Fault::PlantLost),
             cover_events: number / 4,
         };

@@ -108,6 +108,30 @@ pub struct StateRecord {
     pub state: LoopState,
 }
 
+impl StateRecord {
+    /// Encodes it for a log.
+    pub fn encode(&self) -> Vec<u8> {
+        // These types always encode; an empty record would be refused by its reader.
+        let mut bytes = postcard::to_stdvec(self).unwrap_or_default();
+        if let Some(flange) = &self.state.motion.flange {
+            bytes.extend(postcard::to_stdvec(flange).unwrap_or_default());
+        }
+        bytes
+    }
+
+    /// Decodes what [`Self::encode`] made.
+    ///
+    /// # Errors
+    /// Truncated or corrupt bytes, or those of another version.
+    pub fn decode(bytes: &[u8]) -> postcard::Result<Self> {
+        let (mut record, behind): (Self, &[u8]) = postcard::take_from_bytes(bytes)?;
+        if !behind.is_empty() {
+            record.state.motion.flange = Some(postcard::from_bytes(behind)?);
+        }
+        Ok(record)
+    }
+}
+
 /// One tick as a log holds it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TickRecord {
@@ -175,6 +199,7 @@ pub(super) mod tests {
     use crate::control::plant::SourceAge;
     use crate::control::state_check::StateCheck;
     use crate::control::tick_input::Slot;
+    use crate::robot::FlangeSensorKind;
     use moca_msgs::Fault;
 
     /// Returns the input of the tick at a number of milliseconds.
@@ -184,6 +209,7 @@ pub(super) mod tests {
             state: Err(Fault::PlantLost),
             age: SourceAge::default(),
             link: None,
+            flange: None,
             request: None,
             outcome: None,
             refused: None,
@@ -200,6 +226,21 @@ pub(super) mod tests {
             motion: motion(&config).unwrap().state(),
             cover: None,
         }
+    }
+
+    #[test]
+    fn state_of_flange_sensor_is_written_behind_all_else() {
+        let mut record = StateRecord { number: 1, tick: 2, time_ns: 3, cover_events: 4, state: state() };
+        let without = record.encode();
+        assert!(StateRecord::decode(&without).unwrap().state.motion.flange.is_none());
+        let mut config = Config::default();
+        config.plant.flange_sensor = FlangeSensorKind::Simulated;
+        let flange = motion(&config).unwrap().state().flange;
+        record.state.motion.flange = flange;
+        let with = record.encode();
+        assert!(with.starts_with(&without) && flange.is_some());
+        assert_eq!(StateRecord::decode(&with).unwrap().state.motion.flange, flange);
+        assert!(StateRecord::decode(&with[..with.len() - 1]).is_err());
     }
 
     #[test]

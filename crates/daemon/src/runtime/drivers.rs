@@ -1,7 +1,7 @@
 //! Which of its robots a configuration wants driven, and whether this build can.
 
 use crate::config::Config;
-use crate::robot::{ArmDriver, BaseDriver, PlantKind};
+use crate::robot::{ArmDriver, BaseDriver, FlangeSensorKind, PlantKind};
 use anyhow::{Result, bail};
 
 /// A real robot that `mocad` drives.
@@ -23,6 +23,12 @@ pub(crate) enum Driven {
 /// Parts and drivers that do not go together.
 pub(crate) fn driven(config: &Config) -> Result<Driven> {
     let plant = &config.plant;
+    if plant.flange_sensor == FlangeSensorKind::Own {
+        bail!(
+            "plant.flange_sensor = \"own\": `mocad` has no driver of a flange sensor; a program with one runs the loop with \
+             `moca_daemon::runtime::run::with_plant`, and for `mocad` it is \"none\""
+        );
+    }
     let (arm, on_a_base) = (plant.parts.has_arm(), plant.parts.has_cover());
     Ok(match (plant.arm.driver, plant.base.driver) {
         (ArmDriver::Fci, _) if arm && !on_a_base => Driven::Arm,

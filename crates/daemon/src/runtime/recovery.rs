@@ -8,7 +8,7 @@ use moca_msgs::{BoardFault, Fault, Mode, Request, Sample};
 /// Ticks between two requests of its own.
 const EVERY_TICKS: u64 = 100;
 
-/// Asks for what ends a stop for [`BoardFault::HostStarved.of(0)`]: a tare if one is owed, a resume, and arming if the robot was armed.
+/// Asks for what ends a stop for [`BoardFault::HostStarved`]: a tare if one is owed, a resume, and arming if the robot was armed.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Recovery {
     allowed: bool,
@@ -120,6 +120,7 @@ mod tests {
         cover_seen: true,
         cover_fault: None,
         zero: Zero::Valid,
+        zero_fault: Fault::ZeroInvalid,
         plant_fault: None,
         far_joint: None,
         touch: None,

@@ -3,6 +3,7 @@
 use crate::VERSION;
 use crate::config::Config;
 use crate::control::assemble::{cover_config, motion, supervisor};
+use crate::control::flange_sensor::{FlangeReading, FlangeSensor};
 use crate::control::plant::{Plant, Simulated, SourceAge};
 use crate::control::stage::Untimed;
 use crate::control::tick::ControlLoop;
@@ -263,7 +264,7 @@ impl Replay {
         if self.last.is_some() {
             return Ok(());
         }
-        let state: StateRecord = postcard::from_bytes(state)
+        let state = StateRecord::decode(state)
             .context("what the loop remembered is damaged, or another version's")?;
         self.control.restore(&state.state)?;
         self.last = Some((state.tick, state.number));
@@ -295,6 +296,7 @@ impl Replay {
             age: input.age,
             refused: input.refused,
             link: input.link,
+            flange: input.flange,
             outcome: input.outcome.unwrap_or(Ok(())),
         };
         let ticked = self.control.tick(&input.slot, input.request, &mut Untimed);
@@ -396,6 +398,7 @@ struct RecordedPlant {
     age: SourceAge,
     refused: Option<Fault>,
     link: Option<ArmLink>,
+    flange: Option<FlangeReading>,
     /// Answer that only the robot can give.
     outcome: Outcome,
 }
@@ -403,7 +406,7 @@ struct RecordedPlant {
 impl Default for RecordedPlant {
     fn default() -> Self {
         let (state, outcome) = (Err(Fault::PlantLost), Err(Refusal::NotSimulated));
-        Self { state, age: SourceAge::default(), refused: None, link: None, outcome }
+        Self { state, age: SourceAge::default(), refused: None, link: None, flange: None, outcome }
     }
 }
 
@@ -428,8 +431,18 @@ impl Plant for RecordedPlant {
         self.refused.map_or(Ok(()), Err)
     }
 
+    fn flange_sensor(&mut self) -> Option<&mut dyn FlangeSensor> {
+        Some(self)
+    }
+
     fn simulated(&mut self) -> Option<&mut dyn Simulated> {
         Some(self)
+    }
+}
+
+impl FlangeSensor for RecordedPlant {
+    fn latest(&mut self) -> Option<FlangeReading> {
+        self.flange
     }
 }
 

@@ -3,6 +3,7 @@
 
 mod collision_figure;
 pub(crate) mod figure;
+pub(crate) mod flange_wrench;
 #[cfg(test)]
 mod golden;
 #[cfg(test)]
@@ -126,8 +127,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
             let settings = common.settings(Law::FollowMe, |_| ())?;
             let run = pushes::b2(&settings)?;
             // The paper's base follows what its arm estimates; the true wrench beside it shows what that costs.
-            let beside = Settings { flange_observed: !settings.flange_observed, ..settings.clone() };
-            let beside = pushes::b2(&beside)?.report;
+            let mut other = settings.clone();
+            let is_true = settings.flange_source() == "true";
+            other.set(if is_true { "flange=observed" } else { "flange=true" })?;
+            let beside = pushes::b2(&other)?.report;
             let report = Beside { own: &run.report, beside: &beside };
             let draw = || pushes::figure_6(&settings, &run, &common.layout);
             let text = || format!("{}\nbeside it {}", run.report.text(), beside.text());

@@ -123,7 +123,7 @@ fn a_refusal_and_another_commander_are_told() {
     let refused = Reply { request: Request::Arm, outcome: Err(Refusal::ZeroInvalid) };
     bench.daemon.borrow_mut().replies.push(refused);
     bench.frames(Mode::Ready, None);
-    assert!(bench.shows("Arm: refused, the cover has no valid zero"));
+    assert!(bench.shows("Arm: refused, the cover or the flange sensor has no valid zero"));
 
     bench.daemon.borrow_mut().commander = Commander::Another;
     bench.frames(Mode::Ready, None);

@@ -11,7 +11,9 @@ use crate::{ModelSize, Scene, SimError};
 use moca_wbc::ArmModel;
 use moca_wbc::coupled::CoupledDynamics;
 use moca_wbc::linalg::transpose_times;
+use moca_wbc::nalgebra::Matrix3;
 use moca_wbc::opspace::WholeBodyForce;
+use moca_wbc::rotation;
 
 /// Coordinates of the base.
 const BASE: usize = 3;
@@ -33,6 +35,8 @@ pub(super) fn of(scene: &Scene) -> Result<Box<dyn Mechanics>, SimError> {
 #[derive(Debug)]
 struct Analytic<const N: usize> {
     model: ArmModel<N, f64>,
+    /// Axes of the flange in those of the tool.
+    tool_from_flange: Matrix3<f64>,
     limits: Option<JointLimits<N>>,
     people_kg: Vec<f64>,
     /// Damping of the wheels at the end of a step, N·s/m, N·s/m, N·m·s/rad.
@@ -69,8 +73,10 @@ impl<const N: usize> Analytic<N> {
             })
             .collect();
         let coordinates = BASE + N + 2 * people_kg.len();
+        let [.., roll, pitch, yaw] = scene.payload.tool_origin;
         Ok(Self {
             model,
+            tool_from_flange: rotation::from_rpy([roll, pitch, yaw]).transpose(),
             limits: limits.transpose()?,
             people_kg,
             damping: implicit_damping(scene),
@@ -278,6 +284,12 @@ impl<const N: usize> Mechanics for Analytic<N> {
         let kinematics = &self.dynamics.arm.kinematics;
         let [x, y, z]: [f64; 3] = (kinematics.arm_from_base + kinematics.flange_position).into();
         Some([self.base_world[0] + x, self.base_world[1] + y, z])
+    }
+
+    fn flange_rotation_world(&self) -> Option<[f64; 9]> {
+        let rotation = self.dynamics.arm.kinematics.tool_rotation * self.tool_from_flange;
+        // columns of the transpose are rows
+        rotation.transpose().as_slice().try_into().ok()
     }
 
     fn size(&self) -> ModelSize {

@@ -64,6 +64,9 @@ pub(crate) trait Mechanics: std::fmt::Debug + Send {
     /// Flange origin in W as of the start of the last step, m; `None` without an arm.
     fn flange_position_world(&self) -> Option<[f64; 3]>;
 
+    /// Axes of the flange in W, row-major, as of the start of the last step; `None` without an arm.
+    fn flange_rotation_world(&self) -> Option<[f64; 9]>;
+
     /// Returns the readings of the touch sensors of a scene with geoms in the last step, N, T1 first.
     fn touched_n(&self) -> &[f64] {
         &[]

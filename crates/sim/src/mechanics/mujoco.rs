@@ -120,6 +120,10 @@ impl Mechanics for MuJoCo {
         self.flange_body.and_then(|body| self.data.xpos().get(body).copied())
     }
 
+    fn flange_rotation_world(&self) -> Option<[f64; 9]> {
+        self.flange_body.and_then(|body| self.data.xmat().get(body).copied())
+    }
+
     fn touched_n(&self) -> &[f64] {
         &self.data.sensordata()[..self.touch_sensors]
     }
