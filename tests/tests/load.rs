@@ -49,7 +49,6 @@ fn measured(config: &Config) -> (Measured, f64) {
         (sample, tick) = (next, tick + 1);
     }
     assert!(furthest_m < 0.2, "{furthest_m} m");
-    println!("{tick} ms, flange within {furthest_m:.3} m, fastest joint {fastest_rad_s:.3} rad/s");
     (sweeps.measured(&config.robot.tool.origin).unwrap(), fastest_rad_s)
 }
 
@@ -62,7 +61,6 @@ fn load_is_identified_on_an_arm_that_is_not_the_one_believed() {
     let ((bare, _), (loaded, fastest_rad_s)) = (measured(&bare), measured(&loaded));
     let Identified { mass_kg, com_m, residual } =
         identify(&bare, &loaded, Belief::default(), Belief::default()).unwrap();
-    println!("{mass_kg} kg at {com_m:?} m, residual {residual:?}");
     assert!((mass_kg - 1.0).abs() < 0.03, "{mass_kg} kg");
     for (com, truth) in com_m.iter().zip([0.02, -0.01, 0.06]) {
         assert!((com - truth).abs() < 5e-3, "{com_m:?} m");

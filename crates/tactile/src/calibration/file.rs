@@ -332,7 +332,7 @@ impl CalibrationFile {
     }
 
     /// Puts the models into `config` for a cover whose board is called `board`. The sketch is compared when the
-    /// board has spoken: another one is then [`moca_msgs::BoardFault::CalibrationMismatch.of(0)`].
+    /// board has spoken: another one is then [`moca_msgs::BoardFault::CalibrationMismatch`].
     pub fn apply<const K: usize>(&self, board: &str, config: &mut CoverConfig<K>) -> Result<(), FileError> {
         if self.board != board {
             return Err(FileError::Mismatch {
