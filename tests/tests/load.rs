@@ -65,5 +65,6 @@ fn load_is_identified_on_an_arm_that_is_not_the_one_believed() {
     for (com, truth) in com_m.iter().zip([0.02, -0.01, 0.06]) {
         assert!((com - truth).abs() < 5e-3, "{com_m:?} m");
     }
+    assert!(residual[0] < 0.2 && residual[1] < 0.05, "{residual:?} N, N·m");
     assert!(fastest_rad_s < 0.1, "{fastest_rad_s} rad/s");
 }
