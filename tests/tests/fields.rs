@@ -8,12 +8,13 @@
 )]
 
 use moca_control::config::Config;
+use moca_control::robot::GripperKind;
 use moca_lockstep::LockStep;
 use moca_lockstep::ideal_cover::IdealCover;
 use moca_lockstep::simulated_robot::free_scene;
 use moca_lockstep::virtual_boards::board_config;
-use moca_msgs::Sample;
 use moca_msgs::table::{ParameterKind, ParameterSpec};
+use moca_msgs::{GripperRequest, Request, Sample};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::Path;
 use toml::{Table, Value};
@@ -73,6 +74,9 @@ const READ_ELSEWHERE: &[(&str, &str)] = &[
     ("simulation.true.sensor.extra_age_ms", "lockstep/src/simulated_robot.rs"),
     ("simulation.true.flange_sensor.delay_ms", "sim/src/flange_sensor.rs"),
 ];
+
+/// Tick of the request to the gripper, where there is one.
+const GRASPS_AT_TICK: u32 = 300;
 
 /// A robot, and the loads it is looked at under.
 struct Scenario {
@@ -145,6 +149,12 @@ fn scenarios() -> Vec<Scenario> {
             800,
         ),
         scenario("slowly", format!("[loop]\nrate_hz = 150\n{hand}"), false, 180),
+        scenario(
+            "grasping",
+            "[plant]\ngripper = \"simulated\"\n[simulation.true.object]\nmass_kg = 0.5\n[simulation.hand]\ntaxels = []\n".into(),
+            false,
+            1500,
+        ),
     ]
 }
 
@@ -184,6 +194,13 @@ fn observed(config: &Table, scenario: &Scenario) -> Result<u64, String> {
     let config = Config::parse(&toml::to_string(config).unwrap()).map_err(|error| error.to_string())?;
     let scene = free_scene(&config);
     let refused = |error: &dyn std::fmt::Display| format!("{error:#}");
+    let (mut tick, grasps) = (0, config.plant.gripper != GripperKind::None);
+    // As little force as holds the cube of the scenario.
+    let grasp = GripperRequest::Grasp { width_m: 0.05, speed_m_s: 0.1, force_n: 5.0, tolerance_m: 0.01 };
+    let mut request = || {
+        tick += 1;
+        (grasps && tick == GRASPS_AT_TICK).then_some(Request::Gripper(grasp))
+    };
     if !config.plant.parts.has_cover() {
         let mut world = LockStep::without_cover(&config, &scene).map_err(|error| refused(&error))?;
         return Ok(shown(scenario.ticks, || world.step(None).0));
@@ -195,7 +212,7 @@ fn observed(config: &Table, scenario: &Scenario) -> Result<u64, String> {
     }
     let world = LockStep::with_true_forces(&config, &scene, IdealCover::new(10, 0));
     let mut world = world.map_err(|error| refused(&error))?;
-    Ok(shown(scenario.ticks, || world.step(None).0))
+    Ok(shown(scenario.ticks, || world.step(request()).0))
 }
 
 fn shown(ticks: u64, mut step: impl FnMut() -> Sample) -> u64 {

@@ -117,6 +117,43 @@ fn said(program: Program) -> (Option<i32>, String) {
 }
 
 #[test]
+fn exit_code_of_a_grasp_says_if_something_is_held() {
+    let parts = "arm\"\ngripper = \"simulated\"\n[simulation.true.object]\nmass_kg = 0.5\nsize_m = 0.05 #\"";
+    let daemon = Daemon::start("operate-gripper.toml", parts, None);
+    daemon.wait_for("ready");
+    let code = |arguments: &[&str]| {
+        let output = daemon.mocad(&[&["gripper"], arguments].concat());
+        (
+            output.status.code(),
+            String::from_utf8(output.stdout).unwrap(),
+            String::from_utf8(output.stderr).unwrap(),
+        )
+    };
+    let (empty, _, why) = code(&["state"]);
+    assert_eq!(empty, Some(7), "{why}");
+    let (held, text, _) = code(&["grasp", "0.05", "--speed", "0.1"]);
+    assert_eq!((held, text.as_str()), (Some(0), "holding, 50.0 mm between the fingers\n"));
+    assert_eq!(code(&["state"]).0, Some(0), "the program has ended, and it is still held");
+    daemon.done(&["stop"]);
+    assert_eq!(code(&["stop"]).0, Some(0));
+    let (_, json, _) = code(&["state", "--json"]);
+    let state: Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(
+        (&state["holding"], &state["phase"], &state["fault"]),
+        (&true.into(), &"holding".into(), &Value::Null)
+    );
+    assert_eq!(daemon.status()["gripper"], state, "kept through a protective stop");
+    daemon.refused(&["gripper", "move", "0.09"], "width of the gripper = 0.09 m; allowed: 0 to 0.08 m");
+    daemon.done(&["gripper", "release"]);
+    let (none, _, why) = code(&["grasp", "0.02"]);
+    assert!(none == Some(7) && why.contains("The object is wider than asked."), "{none:?}: {why}");
+    let bare = Daemon::start("operate-no-gripper.toml", "arm", None);
+    bare.wait_for("ready");
+    bare.refused(&["gripper", "home"], "the robot has no gripper: set plant.gripper");
+    assert_eq!(bare.status()["gripper"], Value::Null);
+}
+
+#[test]
 fn dead_arming_program_stops_robot() {
     // Without a cover: no busy machine can stop it.
     let daemon = Daemon::start("operate-arm.toml", "arm", None);

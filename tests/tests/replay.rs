@@ -7,7 +7,7 @@
 )]
 
 use moca_control::config::{BarrierReadings, Config, HandConfig};
-use moca_control::robot::FlangeSensorKind;
+use moca_control::robot::{FlangeSensorKind, GripperKind};
 use moca_daemon::record::flight_recorder::FlightRecorder;
 use moca_daemon::record::recording::{configuration, parameter_change};
 use moca_daemon::record::tick_blocks::BlockBuilder;
@@ -17,7 +17,9 @@ use moca_lockstep::simulated_robot::free_scene;
 use moca_lockstep::touch_board::ByteCover;
 use moca_lockstep::{LockStep, MemoryBoards};
 use moca_msgs::params::CONTROLLER;
-use moca_msgs::{Law, Mode, ParameterValues, Request, Sample, Target, TimedTarget, TouchPolicy, Waypoint};
+use moca_msgs::{
+    GripperRequest, Law, Mode, ParameterValues, Request, Sample, Target, TimedTarget, TouchPolicy, Waypoint,
+};
 use moca_sim::VirtualBoardConfig;
 use moca_tactile::Firmware;
 use moca_tactile::calibration::Quality;
@@ -118,6 +120,40 @@ fn write_as(
 
 fn failure(path: &std::path::Path) -> Failure {
     replay::run(&[path.to_owned()]).unwrap_err().downcast::<Failure>().unwrap()
+}
+
+#[test]
+fn grasp_comes_out_the_same_and_a_changed_one_is_found() {
+    let mut config = config();
+    config.plant.gripper = GripperKind::Simulated;
+    config.simulation.truth.object.mass_kg = 0.5;
+    let mut run = Run::start(&config);
+    assert_eq!(run.run(1500), Mode::Impedance);
+    let grasp = GripperRequest::Grasp { width_m: 0.05, speed_m_s: 0.1, force_n: 40.0, tolerance_m: 0.005 };
+    let wide = GripperRequest::Move { width_m: 1.0, speed_m_s: 0.1 };
+    for request in [grasp, wide, GripperRequest::Stop, GripperRequest::Release] {
+        run.ask(Request::Gripper(request));
+        run.run(700);
+    }
+    let held =
+        run.samples.iter().filter(|sample| sample.gripper.is_some_and(|state| state.is_holding())).count();
+    assert!(held > 1500, "{held}");
+    let path = write("gripper.mcap", &config, &run.records, &run.samples);
+    assert_eq!(replay::run(std::slice::from_ref(&path)).unwrap().compared, run.samples.len() as u64);
+    let logged = read_log(&path).unwrap();
+    let shown =
+        logged.samples.iter().find(|sample| sample.gripper.is_some_and(|state| state.is_holding())).unwrap();
+    assert_eq!(shown.gripper, run.samples[usize::try_from(shown.tick).unwrap()].gripper);
+
+    let mut records = run.records;
+    let changed = records
+        .iter()
+        .position(|record| record.input.gripper.is_some_and(|state| state.is_holding()))
+        .unwrap();
+    records[changed].input.gripper.as_mut().unwrap().width_m += 1e-15;
+    let path = write("gripper-changed.mcap", &config, &records, &run.samples);
+    let Failure::Differs { tick, .. } = failure(&path) else { panic!("it differs") };
+    assert_eq!(tick, records[changed].input.slot.tick);
 }
 
 #[test]

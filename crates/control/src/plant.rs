@@ -2,7 +2,9 @@
 
 use crate::flange_sensor::FlangeSensor;
 use crate::robot::JOINTS;
-use moca_msgs::{Actuation, ArmLink, Fault, Outcome, Refusal, RobotState};
+use moca_msgs::{
+    Actuation, ArmLink, Fault, GripperRefusal, GripperRequest, GripperState, Outcome, Refusal, RobotState,
+};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -63,6 +65,19 @@ pub trait Plant {
     /// [`Refusal::Recovering`] if it has begun, else why not.
     fn recover(&mut self) -> Outcome {
         Err(Refusal::CauseRemains(Fault::ArmReflex))
+    }
+
+    /// Returns what a gripper on the flange reports at this tick; `None` without one.
+    fn gripper(&mut self) -> Option<GripperState> {
+        None
+    }
+
+    /// Hands a request to the gripper, and waits for nothing: its end is seen in [`Plant::gripper`].
+    ///
+    /// # Errors
+    /// [`Refusal::Gripper`] for a request that it does not take.
+    fn request_gripper(&mut self, _request: &GripperRequest) -> Outcome {
+        Err(GripperRefusal::NoGripper.into())
     }
 
     /// Carries out an order that stands for `ticks` control periods (more than 1 after missed slots).

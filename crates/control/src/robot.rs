@@ -173,29 +173,8 @@ impl Robot {
             com_m: self.load.com_m,
             inertia_com: self.load.inertia_com,
         };
-        Payload { inertial: together(&tool, &load), tool_origin: self.tool.origin }
+        Payload { inertial: tool.with(&load), tool_origin: self.tool.origin }
     }
-}
-
-/// Two bodies as one, by the parallel-axis theorem; a body without mass adds nothing.
-pub fn together(a: &LinkInertial, b: &LinkInertial) -> LinkInertial {
-    if b.mass_kg <= 0.0 {
-        return *a;
-    }
-    if a.mass_kg <= 0.0 {
-        return *b;
-    }
-    let mass_kg = a.mass_kg + b.mass_kg;
-    let com_m = std::array::from_fn(|i| (a.mass_kg * a.com_m[i] + b.mass_kg * b.com_m[i]) / mass_kg);
-    let mut inertia_com = [0.0; 6];
-    for body in [a, b] {
-        let [x, y, z] = std::array::from_fn(|i| body.com_m[i] - com_m[i]);
-        let away = [y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y];
-        for (i, sum) in inertia_com.iter_mut().enumerate() {
-            *sum += body.inertia_com[i] + body.mass_kg * away[i];
-        }
-    }
-    LinkInertial { mass_kg, com_m, inertia_com }
 }
 
 /// An arm: its table and what it is called in a configuration file.
@@ -327,6 +306,19 @@ pub enum BaseDriver {
 }
 
 choice!(BaseDriver { Ros2: "ros2", Simulated: "simulated", Own: "own" });
+
+/// Gripper on the flange.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum GripperKind {
+    /// None.
+    None,
+    /// Two simulated fingers, with the ranges of a Franka Hand.
+    Simulated,
+    /// A Franka Hand over FCI, on the arm at `plant.arm.host`.
+    Fci,
+}
+
+choice!(GripperKind { None: "none", Simulated: "simulated", Fci: "fci" });
 
 /// Which parts the robot has. What it lacks is neither simulated, started nor shown.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

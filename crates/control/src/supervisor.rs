@@ -188,7 +188,8 @@ impl Supervisor {
                 | Request::Target(_)
                 | Request::Waypoint { .. }
                 | Request::EndTarget
-                | Request::Recentre),
+                | Request::Recentre
+                | Request::Gripper(_)),
             ) => (None, Some(request)),
             Some(Request::Resume) if facts.plant_fault == Some(Fault::ArmReflex) => {
                 (None, Some(Request::Resume))
@@ -300,7 +301,8 @@ impl Supervisor {
             | Request::Target(_)
             | Request::Waypoint { .. }
             | Request::EndTarget
-            | Request::Recentre => Err(Refusal::Mode(self.mode)),
+            | Request::Recentre
+            | Request::Gripper(_) => Err(Refusal::Mode(self.mode)),
         }
     }
 

@@ -76,6 +76,8 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         if let Some(fault) = refused {
             self.supervisor.stop_for(fault);
         }
+        let gripper = self.plant.gripper();
+        self.ticked.sample.gripper = gripper;
         timer.end(Stage::Write);
 
         self.show(slot, (robot.state.as_ref(), age, link), &cover, &actuation, output.as_ref());
@@ -85,6 +87,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             age,
             link,
             flange,
+            gripper,
             request,
             outcome,
             refused,
@@ -214,6 +217,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             }
             Request::Resume => self.plant.recover(),
             Request::Recentre => self.motion.recentre(touch),
+            Request::Gripper(request) => self.plant.request_gripper(&request),
             Request::MaskTaxel { taxel, masked } => self.cover.mask(usize::from(taxel), masked),
             Request::SetParameter { parameter, values } => {
                 self.motion.set_parameter(usize::from(parameter), &values)

@@ -3,7 +3,7 @@
 use crate::flange_sensor::FlangeReading;
 use crate::plant::SourceAge;
 use crate::robot::JOINTS;
-use moca_msgs::{ArmLink, Fault, Outcome, Request, RobotState, STAGES};
+use moca_msgs::{ArmLink, Fault, GripperState, Outcome, Request, RobotState, STAGES};
 use serde::{Deserialize, Serialize};
 
 /// When a tick runs.
@@ -36,6 +36,8 @@ pub struct TickInput {
     pub link: Option<ArmLink>,
     /// Newest reading of the flange sensor; `None` without one, or before its first.
     pub flange: Option<FlangeReading>,
+    /// Report of the gripper.
+    pub gripper: Option<GripperState>,
     /// Request of a client.
     pub request: Option<Request>,
     /// Answer to it.
@@ -55,6 +57,7 @@ impl Default for TickInput {
             age: SourceAge::default(),
             link: None,
             flange: None,
+            gripper: None,
             request: None,
             outcome: None,
             refused: None,

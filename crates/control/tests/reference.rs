@@ -4,7 +4,7 @@
 use moca_control::config::Config;
 use moca_msgs::mode::{Clearing, FlangeTare};
 use moca_msgs::table::{ParameterKind, ParameterSpec, Size};
-use moca_msgs::{BoardFault, Fault, TaxelStatus};
+use moca_msgs::{BoardFault, Fault, GripperFault, TaxelStatus};
 use std::fmt::Write;
 use std::path::Path;
 
@@ -157,6 +157,15 @@ fn fault_chapter_is_what_the_program_says() {
             Clearing::Restart => "a restart",
         };
         writeln!(text, "| `{}` | {} | {} | {needs} |", fault.code(), fault.text(), fault.remedy()).unwrap();
+    }
+    text.push_str(
+        "\n## A gripper's faults\n\nNone of them stops the robot: arm and base stay in control. They last until the next request to the \
+         gripper.\n\n| code | what happened | what to do |\n|---|---|---|\n",
+    );
+    for fault in
+        every![GripperFault: NothingGrasped, TooLarge, TooSmall, Lost, Blocked, Failed, Aborted, Unplugged]
+    {
+        writeln!(text, "| `{}` | {} | {} |", fault.code(), fault.text(), fault.remedy()).unwrap();
     }
     compare("faults.md", &text);
 }

@@ -13,7 +13,7 @@ static ALLOCATOR: CountingAllocator = CountingAllocator;
 
 const EXIT_CODES: &str = "Exit codes: 0 ended as asked, 1 something failed, 2 wrong command line or configuration, or a file \
                           that is no log, 3 real time demanded and refused, 4 a running daemon refused the request, 5 the robot stopped \
-                          while it was armed or tared, 6 the run ended in a fault";
+                          while it was armed or tared, 6 the run ended in a fault, 7 the gripper holds nothing";
 
 /// Tactile whole-body control of MOCA-S: without arguments, a simulated robot with a virtual Touch Board.
 #[derive(Parser)]
@@ -184,6 +184,8 @@ fn exit_code(error: &anyhow::Error) -> ExitCode {
         ExitCode::from(5)
     } else if error.is::<moca_daemon::runtime::run::EndedInFault>() {
         ExitCode::from(6)
+    } else if error.is::<moca_daemon::cli::gripper::HoldsNothing>() {
+        ExitCode::from(7)
     } else {
         ExitCode::FAILURE
     }

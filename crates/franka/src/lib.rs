@@ -14,6 +14,8 @@ mod carried;
 pub mod count;
 #[cfg(feature = "fci")]
 mod fci;
+#[cfg(feature = "fci")]
+mod hand;
 pub mod limiter;
 pub mod mode;
 mod model;
@@ -23,6 +25,8 @@ pub mod wrench;
 pub use carried::{Carried, carried};
 #[cfg(feature = "fci")]
 pub use fci::{ArmState, CARRIES_APART_KG, Fci, Settings};
+#[cfg(feature = "fci")]
+pub use hand::Hand;
 
 pub use model::Model;
 

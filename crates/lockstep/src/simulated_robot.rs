@@ -1,14 +1,17 @@
 //! The simulated robot as a plant, and the shared forces its virtual board reads.
 
-use crate::inject::{FaultSite, Injection, PlantSpoiler};
+use crate::inject::{FaultSite, Injection, PlantFault, PlantSpoiler};
 use crate::scripted_press::scripted_press;
 use moca_control::config::{Config, HandConfig};
 use moca_control::flange_sensor::{FlangeReading, FlangeSensor};
 use moca_control::plant::{Plant, Simulated, SourceAge};
-use moca_control::robot::{CoverTable, FlangeSensorKind, FoamKind, JOINTS, Parts, TAXELS, together};
+use moca_control::robot::{CoverTable, FlangeSensorKind, FoamKind, GripperKind, JOINTS, Parts, TAXELS};
 use moca_control::stopping::{Ladder, Stop};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
-use moca_msgs::{Actuation, Fault, Outcome, Payload, Refusal, RobotCommand, RobotState, TrueArm};
+use moca_msgs::{
+    Actuation, Fault, GripperRequest, GripperState, Outcome, Payload, Refusal, RobotCommand, RobotState,
+    TrueArm,
+};
 use moca_sim::foam::{ElasticLaw, Foam};
 use moca_sim::scene::Robot;
 use moca_sim::{Engine, Integrator, Scene, SharedForces, SimError, SimPlant};
@@ -41,8 +44,9 @@ pub fn free_scene(config: &Config) -> Scene {
         accuracy,
         integrator: if accuracy.is_some() { Integrator::Leapfrog } else { Integrator::default() },
         arm_posture_rad: config.control.gains.posture_rad,
-        payload: Payload { inertial: together(&payload.inertial, &truth.arm.tool()), ..payload },
+        payload: Payload { inertial: payload.inertial.with(&truth.arm.tool()), ..payload },
         arm_joints: truth.arm,
+        gripper: (config.plant.gripper == GripperKind::Simulated).then_some(truth.object),
         foam: true_foam(config),
         control_period_s,
         physics_step_s: control_period_s / substeps,
@@ -121,6 +125,7 @@ pub fn stops(config: &Config, scene: &Scene) -> anyhow::Result<Vec<Stop>> {
         engine: Engine::MuJoCo,
         accuracy: None,
         arm_joints: TrueArm::AS_DESCRIBED,
+        gripper: None,
         ..scene.clone()
     };
     let mut base = SimPlant::new(&alone)?;
@@ -150,6 +155,8 @@ pub struct SimulatedRobot {
     command_timeout_s: f64,
     spoiler: Option<PlantSpoiler>,
     stall: Option<(u64, u64)>,
+    /// Tick at which the gripper's plug is pulled.
+    unplug_at: Option<u64>,
     shared: Vec<SharedForces>,
     late: LateForces<TAXELS>,
     period_s: f64,
@@ -180,6 +187,7 @@ impl SimulatedRobot {
             command_timeout_s: config.robot.base.command_timeout_s,
             spoiler: None,
             stall: None,
+            unplug_at: None,
             shared,
             late: LateForces::new(config),
             period_s,
@@ -202,6 +210,7 @@ impl SimulatedRobot {
         let period = Duration::from_secs_f64(self.period_s).as_nanos().max(1);
         let at_tick = u64::try_from(u128::from(injection.at_ns) / period).unwrap_or(u64::MAX);
         match injection.fault.site {
+            FaultSite::Plant(PlantFault::GripperUnplugged) => self.unplug_at = Some(at_tick),
             FaultSite::Plant(fault) => self.spoiler = Some(PlantSpoiler::new(fault, at_tick)),
             FaultSite::MissedSlots(slots) => self.stall = Some((at_tick, slots)),
             FaultSite::Cable(_) | FaultSite::Outside(_) => {}
@@ -238,6 +247,9 @@ impl SimulatedRobot {
             self.world.press(taxel, self.asked_n.get(taxel).unwrap_or(&0.0) + force_n)?;
         }
         self.scripted = scripted.map(|(taxel, _)| taxel);
+        if self.unplug_at.is_some_and(|at| self.ticks >= at) {
+            self.world.unplug_gripper();
+        }
         self.ticks += 1;
         self.world.step()
     }
@@ -287,6 +299,14 @@ impl Plant for SimulatedRobot {
             std::thread::sleep(Duration::from_secs_f64(slots as f64 * self.period_s));
         }
         self.spoiler.as_mut().map_or(Ok(()), |spoiler| spoiler.write(ticks, self.period_s))
+    }
+
+    fn gripper(&mut self) -> Option<GripperState> {
+        self.world.gripper()
+    }
+
+    fn request_gripper(&mut self, request: &GripperRequest) -> Outcome {
+        Ok(self.world.request_gripper(request)?)
     }
 
     fn simulated(&mut self) -> Option<&mut dyn Simulated> {

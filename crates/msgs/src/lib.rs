@@ -8,8 +8,9 @@
 //! 5. [`mode`]: modes, faults, how each is cleared.
 //! 6. [`protection`]: speed limit and contact events.
 //! 7. [`target`]: where another program wants flange, arm or base.
-//! 8. [`request`] and [`sample`]: what a client may ask and what it is shown.
-//! 9. [`truth`]: how a simulated robot differs from the one that its controller believes in.
+//! 8. [`gripper`]: fingers on the flange, and what they hold.
+//! 9. [`request`] and [`sample`]: what a client may ask and what it is shown.
+//! 10. [`truth`]: how a simulated robot differs from the one that its controller believes in.
 //!
 //! # Conventions
 //! SI units and radians. Frames: **W** world; **B** mobile base (x forward, y left, z up, origin on the floor at
@@ -27,6 +28,7 @@ extern crate alloc;
 
 pub mod arm_errors;
 pub mod board;
+pub mod gripper;
 pub mod link;
 pub mod mode;
 pub mod params;
@@ -40,6 +42,7 @@ pub mod target;
 pub mod taxel;
 pub mod truth;
 
+pub use gripper::{GripperFault, GripperPhase, GripperRefusal, GripperRequest, GripperState};
 pub use link::{ArmLink, ArmMode, Link};
 pub use mode::{BoardFault, Fault, Law, Mode, Reaction};
 pub use params::{Corrections, ImpedanceGains, Limits, ParameterError, ParameterValues, Parameters};
@@ -54,7 +57,7 @@ pub use target::{
     RobotPart, Target, TargetRefusal, TargetState, TimedTarget, TouchPolicy, TwistAxes, Waypoint,
 };
 pub use taxel::{CoverReading, TaxelReading, TaxelStatus};
-pub use truth::{TrueArm, TrueBase, TrueFlangeSensor, TrueFoam, TrueFoamKind, TrueSensor, Truth};
+pub use truth::{TrueArm, TrueBase, TrueFlangeSensor, TrueFoam, TrueFoamKind, TrueObject, TrueSensor, Truth};
 
 /// A time of the loop, ns, as seconds.
 ///

@@ -17,7 +17,7 @@
 //! ```
 
 use crate::params::{CONTROLLER, ParameterValues};
-use crate::{Law, Mode, TargetRefusal, TimedTarget, TouchPolicy, Waypoint};
+use crate::{GripperRefusal, GripperRequest, Law, Mode, TargetRefusal, TimedTarget, TouchPolicy, Waypoint};
 use core::fmt;
 
 /// Largest force of a [`Request::PressTaxel`], N.
@@ -83,6 +83,9 @@ pub enum Request {
     EndTarget,
     /// Drive the base back to where the arm is in its posture, slowly, until it is touched or there: in [`Mode::Impedance`].
     Recentre,
+    /// Move the gripper's fingers, in any mode: arm and base do not move for it. It is answered when it begins, and its end is seen in
+    /// [`crate::GripperState`].
+    Gripper(GripperRequest),
 }
 
 impl Request {
@@ -102,7 +105,7 @@ impl Request {
             Self::Recentre => &[Impedance],
             Self::Resume => &[ProtectiveStop],
             Self::MaskTaxel { .. } => &[Starting, Taring, Ready, ProtectiveStop, Fault],
-            Self::PressTaxel { .. } | Self::SetParameter { .. } => {
+            Self::PressTaxel { .. } | Self::SetParameter { .. } | Self::Gripper(_) => {
                 &[Starting, Taring, Ready, Impedance, FollowMe, ProtectiveStop, Fault]
             }
         }
@@ -121,7 +124,7 @@ impl Request {
             (Self::Stop | Self::OperatorLost, Fault) => {
                 "the robot is stopped already; to go on, restart the daemon"
             }
-            (Self::PressTaxel { .. } | Self::SetParameter { .. }, _) => return None,
+            (Self::PressTaxel { .. } | Self::SetParameter { .. } | Self::Gripper(_), _) => return None,
             (Self::MaskTaxel { .. }, Impedance | FollowMe) => "disarm first",
             (Self::MaskTaxel { .. } | Self::Stop | Self::OperatorLost, _) => return None,
             (_, Fault) => RESTART,
@@ -191,6 +194,7 @@ impl fmt::Display for Request {
             Self::Waypoint { count, .. } => write!(f, "lead along {count} poses"),
             Self::EndTarget => f.write_str("end target"),
             Self::Recentre => f.write_str("recentre"),
+            Self::Gripper(request) => write!(f, "gripper {}", request.name()),
         }
     }
 }
@@ -279,11 +283,19 @@ pub enum Refusal {
     Target(TargetRefusal),
     /// This connection only reads.
     ReadOnly,
+    /// A request that the gripper does not take.
+    Gripper(GripperRefusal),
 }
 
 impl From<TargetRefusal> for Refusal {
     fn from(refusal: TargetRefusal) -> Self {
         Self::Target(refusal)
+    }
+}
+
+impl From<GripperRefusal> for Refusal {
+    fn from(refusal: GripperRefusal) -> Self {
+        Self::Gripper(refusal)
     }
 }
 
@@ -298,6 +310,7 @@ impl fmt::Display for Refusal {
                 return write!(f, "T{number} feels {force_n:.1} N: let go of the cover first");
             }
             Self::Target(refusal) => return refusal.fmt(f),
+            Self::Gripper(refusal) => return refusal.fmt(f),
             Self::FarFromPosture { joint, off_rad } => {
                 let number = u16::from(joint) + 1;
                 return write!(
@@ -348,7 +361,7 @@ mod tests {
         Mode::Fault,
     ];
 
-    fn requests() -> [Request; 15] {
+    fn requests() -> [Request; 16] {
         let waypoint =
             Waypoint { time_s: 0.0, position_world: [0.0; 3], quaternion_world: [0.0, 0.0, 0.0, 1.0] };
         [
@@ -367,6 +380,7 @@ mod tests {
             Request::Waypoint { index: 0, count: 2, waypoint, touch: TouchPolicy::TouchWins },
             Request::EndTarget,
             Request::Recentre,
+            Request::Gripper(GripperRequest::Home),
         ]
     }
 

@@ -28,6 +28,32 @@ pub struct LinkInertial {
     pub inertia_com: [f64; 6],
 }
 
+impl LinkInertial {
+    /// Returns both bodies as one, by the parallel-axis theorem; a body without mass adds nothing.
+    #[must_use]
+    pub fn with(&self, other: &Self) -> Self {
+        if other.mass_kg <= 0.0 {
+            return *self;
+        }
+        if self.mass_kg <= 0.0 {
+            return *other;
+        }
+        let mass_kg = self.mass_kg + other.mass_kg;
+        let com_m = core::array::from_fn(|i| {
+            (self.mass_kg * self.com_m[i] + other.mass_kg * other.com_m[i]) / mass_kg
+        });
+        let mut inertia_com = [0.0; 6];
+        for body in [self, other] {
+            let [x, y, z] = core::array::from_fn(|i| body.com_m[i] - com_m[i]);
+            let away = [y * y + z * z, -x * y, -x * z, x * x + z * z, -y * z, x * x + y * y];
+            for (i, sum) in inertia_com.iter_mut().enumerate() {
+                *sum += body.inertia_com[i] + body.mass_kg * away[i];
+            }
+        }
+        Self { mass_kg, com_m, inertia_com }
+    }
+}
+
 /// A capsule around a part of a link: every point within a radius of a segment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LinkCapsule {

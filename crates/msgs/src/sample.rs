@@ -11,8 +11,8 @@
 use crate::board::Diagnosis;
 use crate::protection::{MAX_CONTACT_EVENTS, MAX_CONTACT_ROWS};
 use crate::{
-    ContactEvent, ContactReaction, ContactRow, Fault, Law, Link, Mode, PostureOffset, SpeedLimit,
-    TargetState, TaxelReading,
+    ContactEvent, ContactReaction, ContactRow, Fault, GripperState, Law, Link, Mode, PostureOffset,
+    SpeedLimit, TargetState, TaxelReading,
 };
 use heapless::Vec;
 
@@ -58,6 +58,8 @@ macro_rules! sample_table {
                 contact_rows: Vec<ContactRow, MAX_CONTACT_ROWS>;
                 /// Connection to a real robot; `None` for a simulated one.
                 link: Option<Link>;
+                /// The gripper; `None` without one.
+                gripper: Option<GripperState>;
             }
 
             /// Measured state of the plant.

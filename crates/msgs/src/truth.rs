@@ -92,6 +92,21 @@ crate::parameter_table! {
     }
 }
 
+crate::parameter_table! {
+    /// A cube that a simulated gripper can grasp, lift, drop and lose. What a request says of it is a belief.
+    #[derive(Clone, Copy, Debug, PartialEq)]
+    pub struct TrueObject in "simulation.true.object" {
+        /// Mass; 0 is no object.
+        mass_kg: f64 = 0.0 => [.range(0.0, 20.0).units(&["kg"])];
+        /// Length of its edges.
+        size_m: f64 = 0.05 => [.range(0.005, 0.5).units(&["m"])];
+        /// Coulomb friction between it and a finger.
+        friction: f64 = 0.5 => [.range(0.0, 2.0)];
+        /// Place of its centre in the world at the start, on a support of its own; 0, 0, 0 is between the fingers.
+        position_world_m: [f64; 3] = [0.0, 0.0, 0.0] => [.range(-1e3, 1e3).units(&["m"])];
+    }
+}
+
 /// Kind of a foam that may be another than the one described.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct TrueFoamKind(pub Option<FoamKind>);
@@ -140,6 +155,8 @@ pub struct Truth {
     pub sensor: TrueSensor,
     /// `[simulation.true.flange_sensor]`
     pub flange_sensor: TrueFlangeSensor,
+    /// `[simulation.true.object]`
+    pub object: TrueObject,
 }
 
 impl Truth {
@@ -150,6 +167,7 @@ impl Truth {
         self.foam.each(visit);
         self.sensor.each(visit);
         self.flange_sensor.each(visit);
+        self.object.each(visit);
     }
 }
 
@@ -180,6 +198,21 @@ impl TrueBase {
             base.acceleration_max_m_s2 = self.acceleration_m_s2;
         }
         base
+    }
+}
+
+impl TrueObject {
+    /// No object.
+    pub const NONE: Self = Self { mass_kg: 0.0, size_m: 0.05, friction: 0.5, position_world_m: [0.0; 3] };
+
+    /// Inertia of the cube with its centre at `com_m` of some axes; a cube has the same about all of them.
+    pub const fn at(&self, com_m: [f64; 3]) -> LinkInertial {
+        let about_any = self.mass_kg * self.size_m * self.size_m / 6.0;
+        LinkInertial {
+            mass_kg: self.mass_kg,
+            com_m,
+            inertia_com: [about_any, 0.0, 0.0, about_any, 0.0, about_any],
+        }
     }
 }
 

@@ -74,6 +74,11 @@ impl FlangeSensor {
         }
     }
 
+    /// Another payload hangs on it from now on.
+    pub(crate) const fn carry(&mut self, payload: LinkInertial) {
+        self.payload = payload;
+    }
+
     /// Measures once a control period: an external wrench about the flange's origin, world axes, with the flange's axes in W.
     pub(crate) fn measure(&mut self, wrench_world: &[f64; 6], flange_axes_world: &Matrix3<f64>) {
         let time_s = self.periods * self.period_s;
@@ -122,7 +127,7 @@ mod tests {
     use crate::{Engine, Scene, SimPlant};
     use moca_msgs::TrueFlangeSensor;
     use moca_msgs::robot::{AnyArm, LinkInertial, MOCA_MOUNT, PANDA, PAPER_COVER, Payload, SUMMIT_XL};
-    use moca_wbc::nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
+    use moca_wbc::nalgebra::{Isometry3, Point3, Rotation3, Translation3, UnitQuaternion, Vector3};
 
     const TOOL: LinkInertial =
         LinkInertial { mass_kg: 2.0, com_m: [0.03, -0.02, 0.1], inertia_com: [0.0; 6] };
@@ -182,7 +187,7 @@ mod tests {
             let mut plant = SimPlant::new(&scene(QUIET, engine)).unwrap();
             plant.set_flange_wrench_world(hand).unwrap();
             stand(&mut plant);
-            let axes = Matrix3::from_row_slice(&plant.mechanics.flange_rotation_world().unwrap());
+            let axes = plant.mechanics.flange_pose().unwrap().axes();
             let expected = expected(&Rotation3::from_matrix_unchecked(axes), &hand);
             let reading = plant.flange_reading().unwrap();
             for (read, expected) in reading.iter().zip(expected) {

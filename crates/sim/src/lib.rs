@@ -16,6 +16,7 @@ pub mod contact;
 mod error;
 mod flange_sensor;
 pub mod foam;
+mod gripper;
 mod joint_friction;
 mod mechanics;
 mod mjcf;

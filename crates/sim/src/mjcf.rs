@@ -19,6 +19,8 @@ pub(crate) fn implicit_damping(scene: &Scene) -> [f64; 3] {
 
 /// Name of the massless body that marks the flange.
 pub(crate) const FLANGE: &str = "flange";
+/// Name of the body that gets the mass of a grasped object.
+pub(crate) const LOAD: &str = "load";
 
 /// The scene as MJCF.
 pub(crate) fn mjcf(scene: &Scene) -> Result<String, fmt::Error> {
@@ -153,6 +155,11 @@ fn arm(xml: &mut String, scene: &Scene, stand: [f64; 3]) -> fmt::Result {
         open_body(xml, "payload", &[0.0; 6])?;
         inertial(xml, &scene.payload.inertial)?;
         xml.push_str("</body>\n");
+    }
+    if scene.has_object() {
+        open_body(xml, LOAD, &[0.0; 6])?;
+        // Away from the body's origin, or MuJoCo would take both frames for one for good.
+        xml.push_str("<inertial pos=\"0 0 0.1\" mass=\"0\" diaginertia=\"0 0 0\"/></body>\n");
     }
     if scene.geoms {
         xml.push_str("<site name=\"flange\"/>\n");

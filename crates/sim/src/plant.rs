@@ -3,6 +3,7 @@
 use crate::SimError;
 use crate::base_link::{BaseLink, Motion};
 use crate::flange_sensor::FlangeSensor;
+use crate::gripper::Gripper;
 use crate::joint_friction::JointFriction;
 use crate::mechanics::{self, Mechanics};
 use crate::mjcf::SERVO_DAMPING;
@@ -10,8 +11,9 @@ use crate::outline::Outline;
 use crate::people::{CoverInstant, Felt, People, Step};
 use crate::scene::{Integrator, Robot, Scene};
 use crate::stepping::{End, Repeatable, Start, Stepping, StepsSpent};
-use moca_msgs::{Actuation, MAX_JOINTS, MAX_TAXELS, RobotCommand, RobotState};
-use moca_wbc::nalgebra::Matrix3;
+use moca_msgs::{
+    Actuation, GripperRefusal, GripperRequest, GripperState, MAX_JOINTS, MAX_TAXELS, RobotCommand, RobotState,
+};
 
 /// Largest push of the wheels before they slip: N, N, N·m (about 0.8 of the weight). ASSUMED.
 const TRACTION: [f64; 3] = [1000.0, 1000.0, 400.0];
@@ -75,6 +77,8 @@ pub struct SimPlant {
     friction: Option<JointFriction>,
     /// Sensor at the flange, if there is one.
     flange_sensor: Option<FlangeSensor>,
+    /// The gripper, if there is one. Apart, because it is large and rare.
+    gripper: Option<Box<Gripper>>,
     pressed_n: [f64; K],
     /// In the last step.
     felt: Felt,
@@ -120,6 +124,7 @@ impl SimPlant {
                 let (truth, payload) = (&scene.flange_truth, scene.payload.inertial);
                 FlangeSensor::new(truth, &origin, payload, scene.control_period_s, scene.seed)
             }),
+            gripper: None,
             pressed_n: [0.0; K],
             felt: Felt::NOTHING,
             taxel_force_mean_n: [0.0; K],
@@ -131,6 +136,9 @@ impl SimPlant {
         // a sensor has been on for longer than its delay
         for _ in 0..plant.flange_sensor.as_ref().map_or(0, FlangeSensor::count) {
             plant.measure_flange();
+        }
+        if let (Some(object), Some(flange)) = (&scene.gripper, plant.mechanics.flange_pose()) {
+            plant.gripper = Some(Box::new(Gripper::new(object, &flange, scene.control_period_s)));
         }
         Ok(plant)
     }
@@ -189,6 +197,7 @@ impl SimPlant {
         if let Some(friction) = &mut self.friction {
             friction.next_period(self.scene.arm.joints);
         }
+        self.advance_gripper()?;
         match self.stepping.take() {
             Some(mut stepping) => {
                 let result = stepping.period(self, self.scene.control_period_s);
@@ -206,9 +215,51 @@ impl SimPlant {
 
     fn measure_flange(&mut self) {
         let Some(sensor) = &mut self.flange_sensor else { return };
-        if let Some(axes) = self.mechanics.flange_rotation_world() {
-            sensor.measure(&self.flange_wrench_world, &Matrix3::from_row_slice(&axes));
+        if let Some(flange) = self.mechanics.flange_pose() {
+            sensor.measure(&self.flange_wrench_world, &flange.axes());
         }
+    }
+
+    /// Moves fingers and object; what hangs on the flange changes between two periods only.
+    fn advance_gripper(&mut self) -> Result<(), SimError> {
+        let (Some(gripper), Some(flange)) = (&mut self.gripper, self.mechanics.flange_pose()) else {
+            return Ok(());
+        };
+        let before = gripper.load();
+        gripper.advance(&flange);
+        let load = gripper.load();
+        if load == before {
+            return Ok(());
+        }
+        if let Some(sensor) = &mut self.flange_sensor {
+            sensor.carry(self.scene.payload.inertial.with(&load));
+        }
+        self.mechanics.set_load(&load)
+    }
+
+    /// Hands a request to the gripper.
+    ///
+    /// # Errors
+    /// There is none, it is unplugged, or a number is out of range.
+    pub fn request_gripper(&mut self, request: &GripperRequest) -> Result<(), GripperRefusal> {
+        self.gripper.as_mut().ok_or(GripperRefusal::NoGripper)?.request(request)
+    }
+
+    /// Returns what the gripper reports; `None` without one.
+    pub fn gripper(&self) -> Option<GripperState> {
+        self.gripper.as_ref().map(|gripper| gripper.state())
+    }
+
+    /// Pulls the gripper's plug: its fingers stay as they are, and it answers no more.
+    pub fn unplug_gripper(&mut self) {
+        if let Some(gripper) = &mut self.gripper {
+            gripper.unplug();
+        }
+    }
+
+    /// Centre of the object that the gripper can grasp, m; `None` without one.
+    pub fn object_position_world(&self) -> Option<[f64; 3]> {
+        self.gripper.as_ref()?.object_position_world()
     }
 
     /// True motion of the base, if there is one.
@@ -322,7 +373,7 @@ impl SimPlant {
 
     /// Flange origin in W, m, as of the start of the last physics step; `None` without an arm.
     pub fn flange_position_world(&self) -> Option<[f64; 3]> {
-        self.mechanics.flange_position_world()
+        self.mechanics.flange_pose().map(|flange| flange.position_world)
     }
 
     /// Centre of person `i` (a point of a wall) in W, m.
@@ -363,6 +414,9 @@ impl SimPlant {
         self.mechanics.refresh();
         if let Some(motion) = self.base_motion() {
             self.link.put(motion);
+        }
+        if let (Some(gripper), Some(flange)) = (&mut self.gripper, self.mechanics.flange_pose()) {
+            gripper.put(&flange);
         }
     }
 

@@ -7,7 +7,7 @@ use crate::flange_sensor::FlangeSensor;
 use crate::foam::Foam;
 use crate::joint_friction;
 use moca_msgs::robot::{AnyArm, BaseTable, LinkCapsule, Mount, Payload, TaxelPlacement};
-use moca_msgs::{MAX_JOINTS, MAX_TAXELS, TrueArm, TrueBase, TrueFlangeSensor};
+use moca_msgs::{MAX_JOINTS, MAX_TAXELS, TrueArm, TrueBase, TrueFlangeSensor, TrueObject};
 
 /// Which parts of the robot exist.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -254,6 +254,8 @@ pub struct Scene {
     pub arm_posture_rad: [f64; MAX_JOINTS],
     /// Payload fixed to the flange.
     pub payload: Payload,
+    /// A gripper on the flange, without a mass of its own, and the object that it can grasp; `None` is no gripper.
+    pub gripper: Option<TrueObject>,
     /// Friction and torque noise of its joints; its masses are already those of `arm` and `payload`.
     pub arm_joints: TrueArm,
     /// The arm's mechanical joint limits.
@@ -315,6 +317,7 @@ impl Scene {
             arm: *arm,
             arm_posture_rad: arm.table.home_rad,
             payload: Payload::NONE,
+            gripper: None,
             arm_joints: TrueArm::AS_DESCRIBED,
             joint_limits: true,
             flange_sensor: false,
@@ -336,6 +339,11 @@ impl Scene {
             engine: Engine::default(),
             accuracy: None,
         }
+    }
+
+    /// Returns true if there is an object that can become a load of the arm.
+    pub(crate) fn has_object(&self) -> bool {
+        self.gripper.is_some_and(|object| object.mass_kg > 0.0)
     }
 
     /// Returns the feature of this scene that needs MuJoCo; `None` if [`Engine::Analytic`] can run it.
@@ -376,6 +384,15 @@ impl Scene {
         #[expect(clippy::cast_precision_loss, reason = "small counts")]
         within("cover", "taxels", &[self.cover.len() as f64], 0.0, MAX_TAXELS as f64)?;
         within("payload.mass", "kg", &[self.payload.inertial.mass_kg], 0.0, 1e3)?;
+        if let Some(object) = &self.gripper {
+            within("object.mass", "kg", &[object.mass_kg], 0.0, 20.0)?;
+            within("object.size", "m", &[object.size_m], 0.005, 0.5)?;
+            within("object.friction", "", &[object.friction], 0.0, 2.0)?;
+            within("object.position_world", "m", &object.position_world_m, -1e3, 1e3)?;
+            if self.robot == Robot::BaseOnly {
+                return Err(SimError::Unsupported { what: "a gripper", why: "the scene has no arm" });
+            }
+        }
         for capsule in &self.capsules {
             within("capsule.ends", "m", capsule.ends_m.as_flattened(), -10.0, 10.0)?;
             within("capsule.radius", "m", &[capsule.radius_m], 1e-3, 1.0)?;

@@ -2,7 +2,9 @@
 #![cfg(all(feature = "testing", feature = "access"))]
 #![allow(clippy::unwrap_used, clippy::panic, reason = "test helpers fail by panicking")]
 
-use moca_msgs::{Law, Mode, ParameterValues, Refusal, Request, Target, TimedTarget, TouchPolicy, Waypoint};
+use moca_msgs::{
+    GripperRequest, Law, Mode, ParameterValues, Refusal, Request, Target, TimedTarget, TouchPolicy, Waypoint,
+};
 use moca_telemetry::{
     RobotDescription,
     net::{
@@ -181,6 +183,7 @@ fn requests() -> Vec<Request> {
         Request::Waypoint { index: 0, count: 1, waypoint, touch },
         Request::EndTarget,
         Request::Recentre,
+        Request::Gripper(GripperRequest::Stop),
     ]
 }
 

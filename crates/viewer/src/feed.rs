@@ -156,6 +156,9 @@ impl Sink for ToHub<'_> {
 
     fn offer<M: Message>(&mut self, topic: &'static str) -> Result<(), LogError> {
         self.hub.add(topic, M::TYPE.0, &ros::definition::<M>());
+        if !self.keeps {
+            self.hub.announce_last();
+        }
         Ok(())
     }
 

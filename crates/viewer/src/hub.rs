@@ -162,6 +162,17 @@ impl Hub {
         }
     }
 
+    /// One more channel in a session that was announced: viewers hear of it alone.
+    pub(crate) fn announce_last(&self) {
+        let Some(advertised) = self.channels.borrow().last().map(|channel| channel.advertised.clone()) else {
+            return;
+        };
+        let text = protocol::advertise(&[advertised]);
+        for viewer in self.viewers.borrow().values() {
+            viewer.text(text.clone());
+        }
+    }
+
     /// The session has ended: nothing that it showed is shown as if it were the present.
     pub(crate) fn end(&self, reason: &str) {
         let ids: Vec<u32> = (0..).zip(self.channels.borrow().iter()).map(|(id, _)| id).collect();

@@ -8,7 +8,7 @@ use super::{
 };
 use crate::approach::STOPS;
 use crate::compensation::SHORTEST_S;
-use crate::robot::{ArmDriver, BaseDriver, Believed, FlangeSensorKind, Parts, PlantKind};
+use crate::robot::{ArmDriver, BaseDriver, Believed, FlangeSensorKind, GripperKind, Parts, PlantKind};
 use moca_msgs::ParameterValues;
 use moca_msgs::params::CONTROLLER;
 use moca_msgs::robot::Drive;
@@ -525,6 +525,7 @@ fn plant(config: &Config, report: Report<'_>) {
         let message = "plant.parts names parts of a robot; plant.kind = \"none\" has none: leave it out";
         report("plant.parts", message.into());
     }
+    gripper(config, report);
     if !config.plant.parts.has_cover() && !ports.are_virtual() {
         let message = "board.port: plant.parts = \"arm\" has no cover and reads no board: leave it out";
         report("board.port", message.into());
@@ -547,6 +548,39 @@ fn plant(config: &Config, report: Report<'_>) {
         report(
             "board.port",
             "board.port: of two boards either both are \"virtual\" or none is simulated".into(),
+        );
+    }
+}
+
+/// A simulated gripper is on a simulated arm, and an object is there for a gripper.
+fn gripper(config: &Config, report: Report<'_>) {
+    let (plant, mass_kg) = (&config.plant, config.simulation.truth.object.mass_kg);
+    let has_gripper = plant.gripper == GripperKind::Simulated;
+    if has_gripper && !(plant.kind == PlantKind::Simulated && plant.parts.has_arm()) {
+        let name = "plant.gripper";
+        report(
+            name,
+            format!(
+                "{name} = \"simulated\" needs a simulated arm: plant.kind = \"simulated\", plant.parts not \"base\""
+            ),
+        );
+    }
+    let on_franka =
+        plant.kind == PlantKind::Robot && plant.parts.has_arm() && plant.arm.driver == ArmDriver::Fci;
+    if plant.gripper == GripperKind::Fci && !on_franka {
+        let name = "plant.gripper";
+        report(
+            name,
+            format!(
+                "{name} = \"fci\" needs a Franka arm: plant.kind = \"robot\", plant.arm.driver = \"fci\""
+            ),
+        );
+    }
+    if mass_kg > 0.0 && !has_gripper {
+        let name = "simulation.true.object.mass_kg";
+        report(
+            name,
+            format!("{name} = {mass_kg} kg needs a gripper: plant.gripper = \"simulated\", or 0 kg"),
         );
     }
 }

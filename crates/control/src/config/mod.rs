@@ -21,7 +21,8 @@ pub use ports::{AUTO_PORT, NAMED_PORT, Ports};
 pub use ros2::Ros2Config;
 
 use crate::robot::{
-    Arm, ArmDriver, BaseDriver, Believed, FlangeSensorKind, JOINTS, Parts, PlantKind, Robot, TAXELS,
+    Arm, ArmDriver, BaseDriver, Believed, FlangeSensorKind, GripperKind, JOINTS, Parts, PlantKind, Robot,
+    TAXELS,
 };
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::robot::AnyArm;
@@ -171,6 +172,8 @@ parameter_table! {
         flange_sensor_deadline_s: f64 = 0.010 => [.range(0.001, 1.0).units(&["s"])];
         /// Largest force and moment along an axis that the sensor can read. ASSUMED: a usual 6-axis sensor for collaborative arms.
         flange_sensor_range: [f64; 2] = [300.0, 30.0] => [.range(0.1, 1e4).units(&["N", "N·m"])];
+        /// Gripper on the flange. Its mass is robot.tool's.
+        gripper: GripperKind = GripperKind::None;
     }
     besides {
         /// `[plant.arm]`

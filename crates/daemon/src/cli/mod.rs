@@ -5,6 +5,7 @@ pub mod access;
 pub mod calibrate;
 mod configuration;
 pub mod doctor;
+pub mod gripper;
 pub mod log;
 mod log_story;
 pub mod operate;

@@ -1,6 +1,8 @@
-//! `mocad tare | arm | disarm | stop | resume | recentre | law | status | watch | target | payload`: a running robot without a screen.
+//! `mocad tare | arm | disarm | stop | resume | recentre | law | status | watch | target | payload | gripper`: a running robot without a
+//! screen.
 #![expect(clippy::print_stdout, reason = "this module is what the user sees on the terminal")]
 
+use crate::cli::gripper;
 use crate::cli::operator::{Arguments, Operator, Stopped, interrupted};
 use crate::cli::payload;
 use crate::cli::remote::{LOOK_EVERY, news, settled};
@@ -42,6 +44,9 @@ pub enum Command {
     /// Measure what the flange carries.
     #[command(subcommand)]
     Payload(payload::Command),
+    /// Move the gripper's fingers, grasp and let go, in any mode.
+    #[command(subcommand, after_help = gripper::EXIT_CODES)]
+    Gripper(gripper::Command),
 }
 
 /// Options of arming.
@@ -96,6 +101,7 @@ pub fn run(command: &Command) -> Result<()> {
         Command::Watch(arguments) => watch(&Operator::look_on(arguments)?),
         Command::Target(arguments) => target::run(arguments),
         Command::Payload(command) => payload::run(command),
+        Command::Gripper(command) => gripper::run(command),
     }
 }
 

@@ -1,11 +1,13 @@
 //! The robot's status for people and programs. What is not known is null, never zero.
 
 use crate::cli::report;
-use moca_msgs::{ArmMode, Fault, Law, Link, Mode, PostureOffset, Sample, TargetState, TaxelStatus, seconds};
+use moca_msgs::{
+    ArmMode, Fault, GripperState, Law, Link, Mode, PostureOffset, Sample, TargetState, TaxelStatus, seconds,
+};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::net::Commander;
 use serde::{Serialize, Serializer};
-use serde_json::json;
+use serde_json::{Value, json};
 use std::fmt;
 
 /// One sample as `mocad status --json` writes it.
@@ -29,6 +31,9 @@ pub(crate) struct Status {
     /// The last target from another program; null where the law has had none.
     #[serde(serialize_with = "target")]
     target: Option<TargetState>,
+    /// Null where there is none.
+    #[serde(serialize_with = "gripper")]
+    gripper: Option<GripperState>,
     /// Null of a simulated robot.
     link: Option<Link>,
     taxels: Vec<TaxelForce>,
@@ -44,6 +49,21 @@ struct FaultStatus {
 fn target<S: Serializer>(target: &Option<TargetState>, to: S) -> Result<S::Ok, S::Error> {
     let named = |TargetState { kind, phase, progress }| json!({ "kind": kind.name(), "phase": phase.name(), "progress": progress });
     target.map(named).serialize(to)
+}
+
+/// A gripper, its phase and fault by their names.
+pub(super) fn gripper_json(state: &GripperState) -> Value {
+    json!({
+        "phase": state.phase.name(),
+        "holding": state.is_holding(),
+        "width_m": state.width_m,
+        "width_max_m": state.width_max_m,
+        "fault": state.fault.map(|fault| json!({ "code": fault.code(), "text": fault.to_string() })),
+    })
+}
+
+fn gripper<S: Serializer>(gripper: &Option<GripperState>, to: S) -> Result<S::Ok, S::Error> {
+    gripper.as_ref().map(gripper_json).serialize(to)
 }
 
 #[derive(Debug, Serialize)]
@@ -94,6 +114,7 @@ impl Status {
             flange_error_m: (arm && known && placed).then(|| sample.flange_error_m()),
             posture: sample.posture.filter(|_| known),
             target: sample.target,
+            gripper: sample.gripper,
             link: sample.link,
             taxels: sample.taxels.iter().enumerate().map(force).collect(),
         }
@@ -131,6 +152,9 @@ impl fmt::Display for Status {
         }
         if let Some(TargetState { kind, phase, progress }) = self.target {
             writeln!(f, "target       {}: {}, {:.0} %", kind.name(), phase.name(), 100.0 * progress)?;
+        }
+        if let Some(gripper) = self.gripper {
+            writeln!(f, "gripper      {gripper}")?;
         }
         if let Some(Link { arm_age_s, base_age_s, arm }) = self.link {
             let base_ms = 1e3 * base_age_s;

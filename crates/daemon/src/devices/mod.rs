@@ -1,8 +1,11 @@
-//! Real arms and bases as the loop's plant, and the ports that boards and gauges are read from.
+//! Real arms, bases and grippers as the loop's plant, and the ports that boards and gauges are read from.
 
 pub mod force_gauge;
 #[cfg(feature = "fci")]
 pub mod franka_arm;
+#[cfg(feature = "fci")]
+pub(crate) mod franka_hand;
+pub mod gripper;
 #[cfg(feature = "sim")]
 pub mod live_firmware;
 #[cfg_attr(not(feature = "board"), path = "ports_absent.rs")]

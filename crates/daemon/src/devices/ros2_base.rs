@@ -6,7 +6,9 @@ use crate::control::plant::{Datagram, Plant, PlantClock, SourceAge};
 use crate::robot::JOINTS;
 use crate::runtime::realtime::Raised;
 use anyhow::{Context, Result};
-use moca_msgs::{Actuation, ArmLink, ArmMode, Fault, Outcome, RobotCommand, RobotState};
+use moca_msgs::{
+    Actuation, ArmLink, ArmMode, Fault, GripperRequest, GripperState, Outcome, RobotCommand, RobotState,
+};
 use moca_ros2::base::{BaseSettings, Reliable, Ros2Base};
 use moca_ros2::network::Network;
 use moca_ros2::transport::Transport;
@@ -101,6 +103,14 @@ impl<A: Plant> Plant for OnRos2Base<A> {
 
     fn flange_sensor(&mut self) -> Option<&mut dyn FlangeSensor> {
         self.arm.flange_sensor()
+    }
+
+    fn gripper(&mut self) -> Option<GripperState> {
+        self.arm.gripper()
+    }
+
+    fn request_gripper(&mut self, request: &GripperRequest) -> Outcome {
+        self.arm.request_gripper(request)
     }
 
     fn write(&mut self, actuation: &Actuation<JOINTS>, ticks: u64) -> Result<(), Fault> {

@@ -8,7 +8,7 @@ use crate::control::tick_input::{Slot, TickInput};
 use crate::record::tick_log::{PortEvent, TickRecord};
 use crate::robot::JOINTS;
 use anyhow::{Context, Result, ensure};
-use moca_msgs::{ArmLink, Fault, Outcome, Request, RobotState, Sample, nanoseconds};
+use moca_msgs::{ArmLink, Fault, GripperState, Outcome, Request, RobotState, Sample, nanoseconds};
 use moca_telemetry::log::columns::{ColumnReader, ColumnWriter, DamagedColumns, Rate};
 use serde::{Deserialize, Serialize};
 use std::collections::VecDeque;
@@ -128,10 +128,32 @@ type Further = Vec<(u32, u8, PortEvent)>;
 /// Reports of the arm on itself where they change; nothing before the first.
 type Links = Vec<(u32, Option<ArmLink>)>;
 
-fn link_changes(ticks: &[ComparedTick]) -> Links {
+/// Reports of the gripper where they change; nothing before the first.
+type Grippers = Vec<(u32, Option<GripperState>)>;
+
+/// Returns a report of each tick where it changes, with the tick's place in the block; nothing before the first.
+fn changes<T: Copy + PartialEq>(
+    ticks: &[ComparedTick],
+    of: impl Fn(&TickInput) -> Option<T>,
+) -> Vec<(u32, Option<T>)> {
     let mut last = None;
-    let links = (0..).zip(ticks.iter().map(|tick| tick.record.input.link));
-    links.filter(|(_, link)| std::mem::replace(&mut last, *link) != *link).collect()
+    let reports = (0..).zip(ticks.iter().map(|tick| of(&tick.record.input)));
+    reports.filter(|(_, report)| std::mem::replace(&mut last, *report) != *report).collect()
+}
+
+/// Gives every tick the report of [`changes`].
+fn give<T: Copy>(
+    ticks: &mut [ComparedTick],
+    changes: Vec<(u32, Option<T>)>,
+    set: impl Fn(&mut TickInput, Option<T>),
+) {
+    let (mut report, mut changes) = (None, changes.into_iter().peekable());
+    for (row, tick) in (0..).zip(ticks) {
+        if let Some((_, changed)) = changes.next_if(|(of, _)| *of == row) {
+            report = changed;
+        }
+        set(&mut tick.record.input, report);
+    }
 }
 
 impl Rare {
@@ -212,10 +234,14 @@ pub fn encode(ticks: &[ComparedTick], period_s: f64) -> Vec<u8> {
     // These types always encode; an empty record would be refused by whoever reads it.
     let mut rare = postcard::to_stdvec(&Rare::of(ticks)).unwrap_or_default();
     let further = Rare::further(ticks);
-    let links = link_changes(ticks);
-    if !(further.is_empty() && links.is_empty()) {
-        // After everything else, so that the log of a single board keeps its form.
+    let links = changes(ticks, |input| input.link);
+    let grippers = changes(ticks, |input| input.gripper);
+    // After everything else, so that the log of a single board, and of a robot without a gripper, keeps its form.
+    if !(further.is_empty() && links.is_empty() && grippers.is_empty()) {
         rare.extend(postcard::to_stdvec(&(further, links)).unwrap_or_default());
+    }
+    if !grippers.is_empty() {
+        rare.extend(postcard::to_stdvec(&grippers).unwrap_or_default());
     }
     out.blob(&rare);
     // Last, so that the log of a robot without a flange sensor keeps its form.
@@ -337,8 +363,6 @@ pub fn decode(bytes: &[u8]) -> Result<Vec<ComparedTick>> {
     let mut prints =
         prints.chunks_exact(4).filter_map(|print| Some(u32::from_le_bytes(print.try_into().ok()?)));
     let (rare, behind): (Rare, &[u8]) = postcard::take_from_bytes(columns.reader.blob()?)?;
-    let (further, links): (Further, Links) =
-        if behind.is_empty() { Default::default() } else { postcard::from_bytes(behind)? };
     let measured: Vec<usize> = (0..rows).filter(|row| has(*row, FLANGE_KNOWN)).collect();
     let mut readings = vec![None; rows];
     if !measured.is_empty() {
@@ -352,6 +376,10 @@ pub fn decode(bytes: &[u8]) -> Result<Vec<ComparedTick>> {
             }
         }
     }
+    let ((further, links), behind): ((Further, Links), &[u8]) =
+        if behind.is_empty() { Default::default() } else { postcard::take_from_bytes(behind)? };
+    let grippers: Grippers =
+        if behind.is_empty() { Grippers::default() } else { postcard::from_bytes(behind)? };
 
     let mut states = states.into_iter();
     let mut ticks = Vec::with_capacity(rows);
@@ -363,6 +391,7 @@ pub fn decode(bytes: &[u8]) -> Result<Vec<ComparedTick>> {
             age: SourceAge { arm_s: arm_s[row], base_s: base_s[row] },
             link: None,
             flange: readings[row],
+            gripper: None,
             request: None,
             outcome: None,
             refused: None,
@@ -376,13 +405,8 @@ pub fn decode(bytes: &[u8]) -> Result<Vec<ComparedTick>> {
         };
         ticks.push(ComparedTick { record, sample });
     }
-    let (mut link, mut links) = (None, links.into_iter().peekable());
-    for (row, tick) in (0..).zip(&mut ticks) {
-        if let Some((_, changed)) = links.next_if(|(of, _)| *of == row) {
-            link = changed;
-        }
-        tick.record.input.link = link;
-    }
+    give(&mut ticks, links, |input, link| input.link = link);
+    give(&mut ticks, grippers, |input, gripper| input.gripper = gripper);
     put(&mut ticks, rare.no_state, |record, fault| record.input.state = Err(fault))?;
     put(&mut ticks, rare.requests, |record, request| record.input.request = Some(request))?;
     put(&mut ticks, rare.outcomes, |record, outcome| record.input.outcome = Some(outcome))?;
@@ -438,6 +462,11 @@ mod tests {
                 .then(|| ArmLink { lost: number / 40, ..ArmLink::default() }),
             flange: (number > 20)
                 .then_some(FlangeReading { wrench: [x, -x, f64::NAN, -0.0, 1e9, 3.0 * x], age_s: 0.1 * x }),
+            gripper: (!(number / 40).is_multiple_of(2)).then(|| GripperState {
+                width_m: x,
+                requests: u32::try_from(number / 30).unwrap(),
+                ..GripperState::default()
+            }),
             refused: (number == 17).then_some(Fault::PlantLost),
             cover_events: number / 4,
         };

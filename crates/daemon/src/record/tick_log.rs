@@ -210,6 +210,7 @@ pub(super) mod tests {
             age: SourceAge::default(),
             link: None,
             flange: None,
+            gripper: None,
             request: None,
             outcome: None,
             refused: None,

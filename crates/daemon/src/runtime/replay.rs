@@ -13,7 +13,9 @@ use crate::robot::JOINTS;
 use anyhow::{Context, Result, anyhow, bail};
 use moca_lockstep::board_events::BoardEvents;
 use moca_lockstep::touch_board::ByteCover;
-use moca_msgs::{Actuation, ArmLink, Fault, Outcome, Refusal, RobotState, Sample};
+use moca_msgs::{
+    Actuation, ArmLink, Fault, GripperRequest, GripperState, Outcome, Refusal, RobotState, Sample,
+};
 use moca_tactile::{BoardEvent, Cover};
 use moca_telemetry::log::records::Configuration;
 use moca_telemetry::log::{LogReader, Record, shown};
@@ -297,6 +299,7 @@ impl Replay {
             refused: input.refused,
             link: input.link,
             flange: input.flange,
+            gripper: input.gripper,
             outcome: input.outcome.unwrap_or(Ok(())),
         };
         let ticked = self.control.tick(&input.slot, input.request, &mut Untimed);
@@ -399,6 +402,7 @@ struct RecordedPlant {
     refused: Option<Fault>,
     link: Option<ArmLink>,
     flange: Option<FlangeReading>,
+    gripper: Option<GripperState>,
     /// Answer that only the robot can give.
     outcome: Outcome,
 }
@@ -406,7 +410,8 @@ struct RecordedPlant {
 impl Default for RecordedPlant {
     fn default() -> Self {
         let (state, outcome) = (Err(Fault::PlantLost), Err(Refusal::NotSimulated));
-        Self { state, age: SourceAge::default(), refused: None, link: None, flange: None, outcome }
+        let age = SourceAge::default();
+        Self { state, age, refused: None, link: None, flange: None, gripper: None, outcome }
     }
 }
 
@@ -424,6 +429,14 @@ impl Plant for RecordedPlant {
     }
 
     fn recover(&mut self) -> Outcome {
+        self.outcome
+    }
+
+    fn gripper(&mut self) -> Option<GripperState> {
+        self.gripper
+    }
+
+    fn request_gripper(&mut self, _request: &GripperRequest) -> Outcome {
         self.outcome
     }
 

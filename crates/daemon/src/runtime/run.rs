@@ -291,12 +291,14 @@ fn live_base(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporte
 #[cfg(all(feature = "fci", feature = "ros2"))]
 fn live_whole(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
     use crate::devices::franka_arm::{FrankaArm, ask_for_payload};
+    use crate::devices::gripper::WithGripper;
     use crate::devices::ros2_base::{OnRos2Base, connect};
     // Asking is a first connection: it has to find the memory locked.
     let options = &mut with_locked_memory(options, reporter)?;
     ask_for_payload(&mut options.config)?;
     let connect = |words: &DriverWords| {
         let arm = FrankaArm::connect(&options.config, saying(words, "arm"))?;
+        let arm = WithGripper::new(arm, hand(&options.config, words)?);
         Ok(OnRos2Base::new(arm, connect(&options.config, saying(words, "base"))?))
     };
     with_plant(options, connect, crate::runtime::tick_source::PlantTicks::new, shared, reporter)
@@ -345,13 +347,26 @@ fn live_fci(options: &Options, _: &Arc<Shared>, _: &mut dyn Reporter) -> Result<
     not_built(options)
 }
 
+/// Returns the hand of the configured arm, if there is one.
+#[cfg(feature = "fci")]
+fn hand(
+    config: &crate::config::Config,
+    words: &DriverWords,
+) -> Result<Option<crate::devices::gripper::GripperThread>> {
+    crate::devices::franka_hand::connect(config, saying(words, "gripper"))
+}
+
 #[cfg(feature = "fci")]
 fn live_fci(options: &Options, shared: &Arc<Shared>, reporter: &mut dyn Reporter) -> Result<LiveRun> {
     use crate::devices::franka_arm::{FrankaArm, ask_for_payload};
+    use crate::devices::gripper::WithGripper;
     // As in `live_whole`.
     let options = &mut with_locked_memory(options, reporter)?;
     ask_for_payload(&mut options.config)?;
-    let connect = |words: &DriverWords| FrankaArm::connect(&options.config, saying(words, "arm"));
+    let connect = |words: &DriverWords| {
+        let arm = FrankaArm::connect(&options.config, saying(words, "arm"))?;
+        Ok(WithGripper::new(arm, hand(&options.config, words)?))
+    };
     with_plant(options, connect, crate::runtime::tick_source::PlantTicks::new, shared, reporter)
 }
 

@@ -13,7 +13,7 @@ pub use plant::{PlantFault, PlantSpoiler};
 pub use values::STRUCK_TAXEL;
 
 use moca_control::config::Config;
-use moca_control::robot::PlantKind;
+use moca_control::robot::{GripperKind, PlantKind};
 use moca_tactile::Firmware;
 use std::str::FromStr;
 
@@ -99,6 +99,13 @@ named! {
     "parameter-absurd" FaultSite::Outside(OutsideFault::ParameterAbsurd), "a virtual mass is set to 1e12 kg";
 }
 
+/// Faults of parts that not every robot has. They stop nothing, so they are not among [`FAULTS`].
+pub const OF_PARTS: &[Named] = &[Named {
+    name: "gripper-unplugged",
+    site: FaultSite::Plant(PlantFault::GripperUnplugged),
+    text: "the gripper stops answering",
+}];
+
 /// Errors of this program on purpose. They end a run, so they are not among [`FAULTS`], which a run survives.
 pub const PANICS: &[Named] = &[
     Named { name: "panic-loop", site: FaultSite::Plant(PlantFault::Panic), text: "the loop's thread panics" },
@@ -123,8 +130,9 @@ impl FromStr for Injection {
 
     fn from_str(text: &str) -> Result<Self, String> {
         let (name, seconds) = text.split_once('@').ok_or("NAME@SECONDS, for example unplugged@10")?;
-        let fault = FAULTS.iter().chain(PANICS).find(|fault| fault.name == name).ok_or_else(|| {
-            let names: Vec<&str> = FAULTS.iter().chain(PANICS).map(|fault| fault.name).collect();
+        let all = || FAULTS.iter().chain(OF_PARTS).chain(PANICS);
+        let fault = all().find(|fault| fault.name == name).ok_or_else(|| {
+            let names: Vec<&str> = all().map(|fault| fault.name).collect();
             format!("no fault is called {name:?}; there are: {}", names.join(", "))
         })?;
         let at = seconds.parse().map_err(|error: std::num::ParseFloatError| error.to_string());
@@ -151,6 +159,7 @@ impl Named {
                 simulated
                     && (!fault.is_of_arm() || plant.parts.has_arm())
                     && (!fault.is_of_base() || plant.parts.has_cover())
+                    && (fault != PlantFault::GripperUnplugged || plant.gripper == GripperKind::Simulated)
             }
             FaultSite::MissedSlots(_) => simulated,
             FaultSite::Outside(_) => true,
@@ -175,9 +184,10 @@ impl Injection {
             _ if config.plant.kind != PlantKind::Simulated => {
                 "only a simulated robot can be made to fail (plant.kind)"
             }
-            _ => "the robot lacks that part (plant.parts)",
+            _ => "the robot lacks that part (plant.parts, plant.gripper)",
         };
-        let apply = FAULTS.iter().filter(|fault| fault.applies(config)).map(|fault| fault.name);
+        let apply =
+            FAULTS.iter().chain(OF_PARTS).filter(|fault| fault.applies(config)).map(|fault| fault.name);
         let apply = apply.collect::<Vec<_>>().join(", ");
         Err(format!("--inject {}: {why}; these apply here: {apply}", self.fault.name))
     }

@@ -20,6 +20,7 @@ pub enum PlantFault {
     Refused,
     ArmStale,
     BaseStale,
+    GripperUnplugged,
     Panic,
 }
 
@@ -67,7 +68,7 @@ impl PlantSpoiler {
             PlantFault::BaseNan => state.base_pose_world[1] = f64::NAN,
             PlantFault::BaseJump => state.base_pose_world[0] += JUMP_M,
             PlantFault::Lost => return Err(Fault::PlantLost),
-            PlantFault::Refused => {}
+            PlantFault::Refused | PlantFault::GripperUnplugged => {}
             #[expect(clippy::panic, reason = "this is the fault")]
             PlantFault::Panic => panic!("injected into the loop"),
             PlantFault::ArmStale => {

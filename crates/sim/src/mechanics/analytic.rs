@@ -5,15 +5,16 @@
 
 use super::joint_limits::JointLimits;
 use super::{BAD_ACCELERATION, BAD_POSITION, BAD_RATE, Mechanics, SINGULAR};
+use crate::gripper::FlangePose;
 use crate::mjcf::implicit_damping;
 use crate::scene::Mobility;
 use crate::{ModelSize, Scene, SimError};
+use moca_msgs::robot::{ArmTable, LinkInertial, Mount, Payload};
 use moca_wbc::ArmModel;
 use moca_wbc::coupled::CoupledDynamics;
 use moca_wbc::linalg::transpose_times;
-use moca_wbc::nalgebra::Matrix3;
 use moca_wbc::opspace::WholeBodyForce;
-use moca_wbc::rotation;
+use moca_wbc::rotation::from_rpy;
 
 /// Coordinates of the base.
 const BASE: usize = 3;
@@ -35,8 +36,8 @@ pub(super) fn of(scene: &Scene) -> Result<Box<dyn Mechanics>, SimError> {
 #[derive(Debug)]
 struct Analytic<const N: usize> {
     model: ArmModel<N, f64>,
-    /// Axes of the flange in those of the tool.
-    tool_from_flange: Matrix3<f64>,
+    /// The parts of it, for another load.
+    parts: (ArmTable<N>, Mount, Payload),
     limits: Option<JointLimits<N>>,
     people_kg: Vec<f64>,
     /// Damping of the wheels at the end of a step, N·s/m, N·s/m, N·m·s/rad.
@@ -73,10 +74,9 @@ impl<const N: usize> Analytic<N> {
             })
             .collect();
         let coordinates = BASE + N + 2 * people_kg.len();
-        let [.., roll, pitch, yaw] = scene.payload.tool_origin;
         Ok(Self {
             model,
-            tool_from_flange: rotation::from_rpy([roll, pitch, yaw]).transpose(),
+            parts: (arm, scene.mount, scene.payload),
             limits: limits.transpose()?,
             people_kg,
             damping: implicit_damping(scene),
@@ -280,16 +280,21 @@ impl<const N: usize> Mechanics for Analytic<N> {
         &self.mass
     }
 
-    fn flange_position_world(&self) -> Option<[f64; 3]> {
+    fn flange_pose(&self) -> Option<FlangePose> {
         let kinematics = &self.dynamics.arm.kinematics;
         let [x, y, z]: [f64; 3] = (kinematics.arm_from_base + kinematics.flange_position).into();
-        Some([self.base_world[0] + x, self.base_world[1] + y, z])
+        let [_, _, _, roll, pitch, yaw] = self.parts.2.tool_origin;
+        let axes = kinematics.tool_rotation * from_rpy([roll, pitch, yaw]).transpose();
+        let axes_world = std::array::from_fn(|row| std::array::from_fn(|column| axes[(row, column)]));
+        Some(FlangePose { position_world: [self.base_world[0] + x, self.base_world[1] + y, z], axes_world })
     }
 
-    fn flange_rotation_world(&self) -> Option<[f64; 9]> {
-        let rotation = self.dynamics.arm.kinematics.tool_rotation * self.tool_from_flange;
-        // columns of the transpose are rows
-        rotation.transpose().as_slice().try_into().ok()
+    fn set_load(&mut self, load: &LinkInertial) -> Result<(), SimError> {
+        let (arm, mount, payload) = &self.parts;
+        let payload = Payload { inertial: payload.inertial.with(load), ..*payload };
+        self.model =
+            ArmModel::new(arm, mount, &payload).map_err(|error| SimError::Model(error.to_string()))?;
+        Ok(())
     }
 
     fn size(&self) -> ModelSize {

@@ -5,8 +5,10 @@ mod analytic;
 mod joint_limits;
 mod mujoco;
 
+use crate::gripper::FlangePose;
 use crate::scene::{Engine, Scene};
 use crate::{ModelSize, SimError};
+use moca_msgs::robot::LinkInertial;
 
 /// Errors of a state, in the order in which they are checked.
 const BAD_POSITION: &str = "a position is not a number or too large";
@@ -61,11 +63,14 @@ pub(crate) trait Mechanics: std::fmt::Debug + Send {
     /// Mass matrix as of the start of the last step, row-major.
     fn mass_matrix(&mut self) -> &[f64];
 
-    /// Flange origin in W as of the start of the last step, m; `None` without an arm.
-    fn flange_position_world(&self) -> Option<[f64; 3]>;
+    /// Pose of the flange as of the start of the last step; `None` without an arm.
+    fn flange_pose(&self) -> Option<FlangePose>;
 
-    /// Axes of the flange in W, row-major, as of the start of the last step; `None` without an arm.
-    fn flange_rotation_world(&self) -> Option<[f64; 9]>;
+    /// Hangs a cube on the flange of a scene with an object, in the flange's axes; the one before is gone.
+    ///
+    /// # Errors
+    /// An inertia that the engine refuses.
+    fn set_load(&mut self, load: &LinkInertial) -> Result<(), SimError>;
 
     /// Returns the readings of the touch sensors of a scene with geoms in the last step, N, T1 first.
     fn touched_n(&self) -> &[f64] {

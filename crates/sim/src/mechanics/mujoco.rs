@@ -1,14 +1,17 @@
 //! MuJoCo: whatever a scene holds.
 
 use super::Mechanics;
-use crate::mjcf::{FLANGE, mjcf};
+use crate::gripper::FlangePose;
+use crate::mjcf::{FLANGE, LOAD, mjcf};
 use crate::{ModelSize, Robot, Scene, SimError, quiet};
+use moca_msgs::robot::LinkInertial;
 use mujoco_rs::prelude::{MjData, MjModel, MjtWarning};
 
 #[derive(Debug)]
 pub(super) struct MuJoCo {
     data: MjData<Box<MjModel>>,
     flange_body: Option<usize>,
+    load_body: Option<usize>,
     /// Touch sensors, which come first of all sensors.
     touch_sensors: usize,
     /// Scratch for the dense mass matrix, nv × nv.
@@ -23,9 +26,10 @@ impl MuJoCo {
         let model = MjModel::from_xml_string(&xml).map_err(|error| refused(&error))?;
         let nv = usize::try_from(model.ffi().nv).unwrap_or(0);
         let flange_body = model.body(FLANGE).map(|info| info.id);
+        let load_body = model.body(LOAD).map(|info| info.id);
         let data = MjData::try_new(Box::new(model)).map_err(|error| refused(&error))?;
         let touch_sensors = if scene.geoms && scene.robot != Robot::ArmOnly { scene.cover.len() } else { 0 };
-        Ok(Self { data, flange_body, touch_sensors, mass: vec![0.0; nv * nv] })
+        Ok(Self { data, flange_body, load_body, touch_sensors, mass: vec![0.0; nv * nv] })
     }
 
     fn check(&self) -> Result<(), SimError> {
@@ -116,12 +120,23 @@ impl Mechanics for MuJoCo {
         &self.mass
     }
 
-    fn flange_position_world(&self) -> Option<[f64; 3]> {
-        self.flange_body.and_then(|body| self.data.xpos().get(body).copied())
+    fn flange_pose(&self) -> Option<FlangePose> {
+        let body = self.flange_body?;
+        let (position_world, [xx, xy, xz, yx, yy, yz, zx, zy, zz]) =
+            (*self.data.xpos().get(body)?, *self.data.xmat().get(body)?);
+        Some(FlangePose { position_world, axes_world: [[xx, xy, xz], [yx, yy, yz], [zx, zy, zz]] })
     }
 
-    fn flange_rotation_world(&self) -> Option<[f64; 9]> {
-        self.flange_body.and_then(|body| self.data.xmat().get(body).copied())
+    fn set_load(&mut self, load: &LinkInertial) -> Result<(), SimError> {
+        let Some(body) = self.load_body else { return Ok(()) };
+        let [xx, .., yy, _, zz] = load.inertia_com;
+        #[expect(unsafe_code, reason = "as for the damping")]
+        // SAFETY: numbers change, and the model stays the same one with the same sizes.
+        let model = unsafe { self.data.model_mut() };
+        model.body_mass_mut()[body] = load.mass_kg;
+        model.body_inertia_mut()[body] = [xx, yy, zz];
+        model.body_ipos_mut()[body] = load.com_m;
+        Ok(())
     }
 
     fn touched_n(&self) -> &[f64] {

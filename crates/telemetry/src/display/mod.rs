@@ -17,8 +17,8 @@ use crate::{
     log::{
         LogError,
         records::{
-            BoardChange, Channel, Command, Contact, Cover, FaultChange, Link, ModeChange, State, Target,
-            Timing,
+            BoardChange, Channel, Command, Contact, Cover, FaultChange, Gripper, Link, ModeChange, State,
+            Target, Timing,
         },
         shown::shown,
     },
@@ -94,6 +94,8 @@ pub struct Display {
     next_touch_ns: u64,
     next_repeat_ns: u64,
     touched: bool,
+    /// True once the gripper's records were announced; a robot without one has none.
+    gripper: bool,
     /// Largest lateness, s, and stages, ns, since they were last shown.
     worst: (f64, [u32; STAGES.len()]),
     /// The last sample whose numbers were shown, as they were.
@@ -114,6 +116,7 @@ impl Display {
             next_touch_ns: 0,
             next_repeat_ns: 0,
             touched: false,
+            gripper: false,
             worst: Default::default(),
             shown: Sample::default(),
         }
@@ -261,6 +264,12 @@ impl Display {
         }
         if let Some(target) = &shown.target {
             to.record(time_ns, &Target::new(shown.tick, target))?;
+        }
+        if let Some(gripper) = &shown.gripper {
+            if !std::mem::replace(&mut self.gripper, true) {
+                to.offer_record::<Gripper>()?;
+            }
+            to.record(time_ns, &Gripper::new(shown.tick, gripper))?;
         }
         to.record(time_ns, &Timing::from(shown))
     }

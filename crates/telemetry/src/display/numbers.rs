@@ -1,13 +1,23 @@
 //! The messages of a log as ROS 2 messages of our own: live viewers plot the same numbers under the same names. Those of a
 //! sample come from its table.
 
-use crate::log::records::{BoardChange, Contact, FaultChange, Link, ModeChange, Target};
+use crate::log::records::{BoardChange, Contact, FaultChange, Gripper, Link, ModeChange, Target};
 use crate::ros::{message, names};
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::target::{TargetKind, TargetPhase};
-use moca_msgs::{ArmMode, Mode, SpeedLimitReason, TaxelStatus};
+use moca_msgs::{ArmMode, GripperPhase, Mode, SpeedLimitReason, TaxelStatus};
 
-names!(ArmMode, Mode, SpeedLimitReason, TaxelStatus, ContactPhase, ContactKind, TargetKind, TargetPhase);
+names!(
+    ArmMode,
+    Mode,
+    SpeedLimitReason,
+    TaxelStatus,
+    ContactPhase,
+    ContactKind,
+    TargetKind,
+    TargetPhase,
+    GripperPhase
+);
 
 message! { "moca_msgs/msg/Link" Link {
     tick,
@@ -20,6 +30,7 @@ message! { "moca_msgs/msg/Link" Link {
     errors,
 } }
 message! { "moca_msgs/msg/Target" Target { tick, kind, phase, progress } }
+message! { "moca_msgs/msg/Gripper" Gripper { tick, width_m, width_max_m, phase, requests, fault } }
 message! { "moca_msgs/msg/Mode" ModeChange { tick, mode } }
 message! { "moca_msgs/msg/Fault" FaultChange { tick, code, text, remedy, board, json } }
 message! { "moca_msgs/msg/Board" BoardChange { tick, text, json } }

@@ -4,8 +4,8 @@ use super::{
     LogError, SerialBytes,
     framing::{self, Fields, MAGIC, Message, Records, op},
     records::{
-        BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, LOOP_STATE_TOPIC, Link,
-        ModeChange, REPLAY_TOPIC, Robot, SERIAL_TOPICS, State, Target, Timing, bounded,
+        BoardChange, Channel, Command, Configuration, Contact, Cover, FaultChange, Gripper, LOOP_STATE_TOPIC,
+        Link, ModeChange, REPLAY_TOPIC, Robot, SERIAL_TOPICS, State, Target, Timing, bounded,
     },
     writer::{FORM, FORMS, LIBRARY},
 };
@@ -284,6 +284,7 @@ struct Partial {
     contacts: Vec<Contact>,
     link: Option<Link>,
     target: Option<Target>,
+    gripper: Option<Gripper>,
 }
 
 /// A record of a sample and its tick; only its tick, if its fields are not wanted.
@@ -336,6 +337,7 @@ impl Decoder {
             Command::TOPIC => self.carried.partial.command = self.held::<Command>(message)?,
             Link::TOPIC => self.carried.partial.link = Some(parse(message)?),
             Target::TOPIC => self.carried.partial.target = Some(parse(message)?),
+            Gripper::TOPIC => self.carried.partial.gripper = Some(parse(message)?),
             Cover::TOPIC => self.carried.partial.cover = self.held::<Cover>(message)?,
             Contact::TOPIC => self.carried.partial.contacts.push(parse(message)?),
             Timing::TOPIC => {
@@ -376,7 +378,7 @@ impl Decoder {
 
     /// The sample, if all messages of its tick are there; `Timing` is the last one written.
     fn complete(&mut self, log_time: u64, timing: Held<Timing>) -> Option<Record> {
-        let Partial { state, command, cover, contacts, link, target } =
+        let Partial { state, command, cover, contacts, link, target, gripper } =
             std::mem::take(&mut self.carried.partial);
         let ((tick, timing), (of_state, state)) = (timing?, state?);
         let ((of_command, command), (of_cover, cover)) = (command?, cover?);
@@ -392,6 +394,7 @@ impl Decoder {
             board: self.carried.board,
             contact_events: bounded(events),
             target: target.filter(|target| target.tick == tick).map(|target| target.state()),
+            gripper: gripper.filter(|gripper| gripper.tick == tick).map(|gripper| gripper.state()),
             link: link.filter(|link| link.tick == tick).map(|link| link.link()),
             ..Sample::default()
         };

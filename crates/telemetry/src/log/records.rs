@@ -13,8 +13,8 @@
 use crate::{audit::Asked, ros::message};
 use moca_msgs::protection::{ContactKind, ContactPhase};
 use moca_msgs::{
-    ArmLink, ArmMode, BoardFault, ContactEvent, ContactReaction, Fault, Law, Mode, STAGES, Sample,
-    SpeedLimit, SpeedLimitReason, TaxelReading, TaxelStatus,
+    ArmLink, ArmMode, BoardFault, ContactEvent, ContactReaction, Fault, GripperFault, GripperPhase,
+    GripperState, Law, Mode, STAGES, Sample, SpeedLimit, SpeedLimitReason, TaxelReading, TaxelStatus,
     board::Diagnosis,
     sample_table,
     target::{TargetKind, TargetPhase, TargetState},
@@ -511,6 +511,48 @@ impl Target {
     }
 }
 
+/// The gripper; nothing of a robot without one.
+#[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
+pub struct Gripper {
+    /// Tick count.
+    pub tick: u64,
+    /// Distance between the fingers, m.
+    #[serde(deserialize_with = "scalar")]
+    pub width_m: f64,
+    /// Largest distance between them, m.
+    #[serde(deserialize_with = "scalar")]
+    pub width_max_m: f64,
+    /// Resting, Moving, Holding or Unknown.
+    #[schemars(with = "String")]
+    pub phase: GripperPhase,
+    /// Requests taken since the start.
+    pub requests: u32,
+    /// Code of the fault since the last request; empty without one.
+    pub fault: String,
+}
+
+impl Gripper {
+    /// `gripper`, which a sample of `tick` carried.
+    pub fn new(tick: u64, gripper: &GripperState) -> Self {
+        let GripperState { width_m, width_max_m, phase, requests, fault } = *gripper;
+        Self {
+            tick,
+            width_m,
+            width_max_m,
+            phase,
+            requests,
+            fault: fault.map_or("", GripperFault::code).into(),
+        }
+    }
+
+    /// Returns the state as the sample carried it.
+    pub fn state(&self) -> GripperState {
+        let Self { tick: _, width_m, width_max_m, phase, requests, ref fault } = *self;
+        let fault = GripperFault::ALL.into_iter().find(|one| one.code() == fault);
+        GripperState { width_m, width_max_m, phase, requests, fault }
+    }
+}
+
 /// A change of mode.
 #[derive(Clone, Debug, Serialize, Deserialize, JsonSchema)]
 pub struct ModeChange {
@@ -643,6 +685,7 @@ channels! {
     Contact => "/contact",
     Link => "/link",
     Target => "/target",
+    Gripper => "/gripper",
     ModeChange => "/mode",
     FaultChange => "/fault",
     BoardChange => "/board",

@@ -19,5 +19,9 @@ pub fn shown(sample: &Sample) -> Sample {
     if let Some(target) = &mut shown.target {
         target.progress = seven_digits(target.progress);
     }
+    if let Some(gripper) = &mut shown.gripper {
+        gripper.width_m = seven_digits(gripper.width_m);
+        gripper.width_max_m = seven_digits(gripper.width_max_m);
+    }
     shown
 }

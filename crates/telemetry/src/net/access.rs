@@ -64,7 +64,8 @@ pub const fn least_role(request: &Request) -> Option<Role> {
         | Request::Target(_)
         | Request::Waypoint { .. }
         | Request::EndTarget
-        | Request::Recentre => Some(Role::Operator),
+        | Request::Recentre
+        | Request::Gripper(_) => Some(Role::Operator),
         Request::MaskTaxel { .. } | Request::SetParameter { .. } => Some(Role::Maintainer),
         Request::OperatorLost => None,
     }

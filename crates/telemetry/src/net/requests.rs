@@ -1,6 +1,6 @@
 //! Requests on their way to the loop: a bounded ring, and beside it two flags for what must not wait behind a full one.
 
-use moca_msgs::{Outcome, Refusal, Request, TargetRefusal};
+use moca_msgs::{GripperRequest, Outcome, Refusal, Request, TargetRefusal};
 use rtrb::{Consumer, Producer, RingBuffer};
 use std::sync::{
     Arc,
@@ -104,7 +104,11 @@ impl RequestReceiver {
                 self.answer(ticket, Err(Refusal::Target(TargetRefusal::Overtaken)));
                 continue;
             }
-            let moves = matches!(request, Request::Arm | Request::Resume | Request::Recentre);
+            let moves = match request {
+                Request::Arm | Request::Resume | Request::Recentre => true,
+                Request::Gripper(request) => request != GripperRequest::Stop,
+                _ => false,
+            };
             if !(moves && ticket < self.stopped_at) {
                 return Some((ticket, request));
             }

@@ -3,7 +3,6 @@
 use super::document::{Joint, Kind, Model, inertial, model};
 use super::frames::{HERE, Origin, inverse, placed, then, z_to};
 use super::text;
-use crate::robot::together;
 use moca_msgs::robot::{LinkInertial, Payload};
 
 pub use super::document::{Given, Limit};
@@ -187,7 +186,7 @@ impl Weighed<'_> {
     /// Adds to `body` the link at `at` and everything that hangs on it beside the chain.
     fn weigh(&self, link: &str, at: &Origin, body: &mut LinkInertial) -> Result<(), String> {
         if let Some(node) = self.model.links.get(link) {
-            *body = together(body, &placed(&inertial(*node, link, self.given)?, at));
+            *body = body.with(&placed(&inertial(*node, link, self.given)?, at));
         }
         for joint in self.beside(link) {
             self.weigh(joint.child, &then(at, &joint.held(self.model)?), body)?;
