@@ -1,4 +1,4 @@
-//! What a measurement enters into a configuration file.
+//! Entering of measured values into a configuration file.
 
 use crate::config::Config;
 use anyhow::{Context, Result};
