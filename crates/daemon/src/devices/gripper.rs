@@ -1,6 +1,7 @@
 //! A gripper of any make behind the loop: [`Gripper`] is its driver, [`GripperThread`] drives it from a thread of its own, and
 //! [`WithGripper`] puts it on a robot. The loop never waits for it.
 
+use crate::control::flange_sensor::FlangeSensor;
 use crate::control::plant::{Datagram, Plant, PlantClock, Simulated, SourceAge};
 use crate::robot::JOINTS;
 use moca_msgs::gripper::GripperTable;
@@ -154,6 +155,10 @@ impl<P: Plant> Plant for WithGripper<P> {
         self.robot.recover()
     }
 
+    fn flange_sensor(&mut self) -> Option<&mut dyn FlangeSensor> {
+        self.robot.flange_sensor()
+    }
+
     fn gripper(&mut self) -> Option<GripperState> {
         self.gripper.as_mut().map(GripperThread::state)
     }
@@ -184,6 +189,7 @@ impl<P: PlantClock> PlantClock for WithGripper<P> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::control::flange_sensor::FlangeReading;
     use crate::control::plant::NoRobot;
     use moca_msgs::gripper::FRANKA_HAND;
     use std::sync::Mutex;
@@ -211,6 +217,36 @@ mod tests {
             let _hangs = self.hangs.lock().unwrap();
             *self.reports.lock().unwrap()
         }
+    }
+
+    /// An arm with a sensor at its flange.
+    struct Feels;
+
+    impl FlangeSensor for Feels {
+        fn latest(&mut self) -> Option<FlangeReading> {
+            Some(FlangeReading { wrench: [1.0; 6], age_s: 0.0 })
+        }
+    }
+
+    impl Plant for Feels {
+        fn read(&mut self) -> Result<RobotState<JOINTS>, Fault> {
+            Err(Fault::StateInvalid)
+        }
+
+        fn write(&mut self, _: &Actuation<JOINTS>, _: u64) -> Result<(), Fault> {
+            Ok(())
+        }
+
+        fn flange_sensor(&mut self) -> Option<&mut dyn FlangeSensor> {
+            Some(self)
+        }
+    }
+
+    #[test]
+    fn flange_sensor_of_the_arm_is_felt_with_a_gripper_on_it() {
+        let mut robot = WithGripper::new(Feels, None);
+        assert!(robot.flange_sensor().is_some_and(|sensor| sensor.latest().is_some()));
+        assert!(robot.gripper().is_none());
     }
 
     fn held() -> GripperState {
