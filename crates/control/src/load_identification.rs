@@ -279,13 +279,11 @@ pub fn identify(
         right += (x * torque_nm.y - y * torque_nm.x) * GRAVITY_M_S2;
     }
     let seen = (normal.symmetric_eigenvalues().min() / (count * GRAVITY_M_S2 * GRAVITY_M_S2)).max(0.0).sqrt();
-    ensure!(
-        seen >= TURNED,
-        "the postures turn the flange against gravity by a sine of {seen:.3} about some axis; allowed: {TURNED} or more. Begin in \
-         another posture."
-    );
-    let Some(inverse) = normal.try_inverse() else {
-        bail!("the postures do not turn the flange against gravity")
+    let Some(inverse) = normal.try_inverse().filter(|_| seen >= TURNED) else {
+        bail!(
+            "the postures turn the flange against gravity by a sine of {seen:.3} about some axis; allowed: {TURNED} or more. Begin \
+             in another posture."
+        )
     };
     let moment_kg_m = inverse * right;
 

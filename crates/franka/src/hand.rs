@@ -116,7 +116,7 @@ impl Hand {
         }
     }
 
-    /// Returns the connection, which is made anew once in [`PAUSE`] where there is none.
+    /// Returns the connection. Where there is none, it is tried once in [`PAUSE`].
     fn reached(&mut self) -> Option<Arc<Gripper>> {
         if self.hand.is_none() && Instant::now() >= self.next_try {
             self.next_try = Instant::now() + PAUSE;

@@ -196,7 +196,7 @@ impl Gripper {
         }
     }
 
-    /// Begins anew with the flange at rest there, after somebody put the robot elsewhere.
+    /// Starts with the flange at rest there, after somebody put the robot elsewhere.
     pub(crate) fn put(&mut self, flange: &FlangePose) {
         self.last = (*flange, flange.point_world(&self.table.tip_flange_m), [0.0; 3]);
     }

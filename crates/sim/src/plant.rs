@@ -222,9 +222,8 @@ impl SimPlant {
 
     /// Moves fingers and object; what hangs on the flange changes between two periods only.
     fn advance_gripper(&mut self) -> Result<(), SimError> {
-        let (Some(gripper), Some(flange)) = (&mut self.gripper, self.mechanics.flange_pose()) else {
-            return Ok(());
-        };
+        let Some(gripper) = &mut self.gripper else { return Ok(()) };
+        let Some(flange) = self.mechanics.flange_pose() else { return Ok(()) };
         let before = gripper.load();
         gripper.advance(&flange);
         let load = gripper.load();

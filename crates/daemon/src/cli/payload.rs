@@ -21,8 +21,8 @@ use std::time::{Duration, Instant, SystemTime};
 /// Period at which the posture is sent on.
 const SEND_EVERY: Duration = Duration::from_millis(20);
 
-/// Measurement of what the flange carries. The arm turns through six postures for two and a half minutes and goes back. The reference of each
-/// joint turns at 0.05 rad/s at most. Nobody may touch the robot.
+/// Measurement of what the flange carries. The arm turns through six postures for two and a half minutes and goes back. The reference
+/// of each joint turns at 0.05 rad/s at most. Nobody may touch the robot.
 #[derive(Subcommand)]
 pub enum Command {
     /// Measure the bare flange: what is wrong with the arm's model.
@@ -75,6 +75,9 @@ pub fn run(command: &Command) -> Result<()> {
     let date = humantime::format_rfc3339_seconds(SystemTime::now());
     match command {
         Command::Bare { out, common } => {
+            // A folder that cannot be written is told before the arm moves. An earlier measurement stays until this one ends.
+            let opened = fs::OpenOptions::new().append(true).create(true).open(out);
+            drop(opened.with_context(|| out.display().to_string())?);
             let (arm, believed, measured) = measure(common)?;
             let bare = BareFlange { date: date.to_string(), arm, believed, measured };
             fs::write(out, toml::to_string(&bare)?).with_context(|| out.display().to_string())?;
@@ -86,6 +89,9 @@ pub fn run(command: &Command) -> Result<()> {
         }
         Command::Identify(IdentifyArguments { bare, config, write, common }) => {
             let bare = read(bare)?;
+            if let Some(path) = config {
+                configuration::read(path)?;
+            }
             let (arm, believed, measured) = measure(common)?;
             ensure!(bare.arm == arm, "the bare flange is of {}, this arm is {arm}", bare.arm);
             let load = identify(&bare.measured, &measured, bare.believed, believed)?;
@@ -145,12 +151,11 @@ fn measure(common: &Arguments) -> Result<(String, Belief, Measured)> {
     let measured = news(operator.connection(), |sample| sample.mode.moves())
         .and_then(|update| update.samples.last().cloned().context("the daemon sends nothing new"))
         .and_then(|first| sweep(&operator, &robot, &first, &ended));
-    if let Err(error) = &measured
-        && error.is::<Stopped>()
-    {
-        return Err(measured.err().unwrap_or_else(|| anyhow::anyhow!("the robot stopped")));
-    }
-    let left = operator.ask(if was_armed { Request::EndTarget } else { Request::Disarm });
+    let left = match &measured {
+        // Whoever is gone, or stopped, has ended it already.
+        Err(error) if error.is::<Stopped>() => Ok(()),
+        _ => operator.ask(if was_armed { Request::EndTarget } else { Request::Disarm }),
+    };
     operator.connection().release();
     let measured = measured?;
     left?;
