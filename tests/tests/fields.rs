@@ -196,7 +196,13 @@ fn observed(config: &Table, scenario: &Scenario) -> Result<u64, String> {
     let refused = |error: &dyn std::fmt::Display| format!("{error:#}");
     let (mut tick, grasps) = (0, config.plant.gripper != GripperKind::None);
     // As little force as holds the cube of the scenario.
-    let grasp = GripperRequest::Grasp { width_m: 0.05, speed_m_s: 0.1, force_n: 5.0, tolerance_m: 0.01 };
+    let grasp = GripperRequest::Grasp {
+        width_m: 0.05,
+        speed_m_s: 0.1,
+        force_n: 5.0,
+        tolerance_m: 0.01,
+        mass_kg: 0.5,
+    };
     let mut request = || {
         tick += 1;
         (grasps && tick == GRASPS_AT_TICK).then_some(Request::Gripper(grasp))

@@ -22,7 +22,7 @@ use moca_sim::{Engine, Scene};
 type World = LockStep<ByteCover, MemoryBoards>;
 
 const GRASP: GripperRequest =
-    GripperRequest::Grasp { width_m: 0.05, speed_m_s: 0.05, force_n: 40.0, tolerance_m: 0.005 };
+    GripperRequest::Grasp { width_m: 0.05, speed_m_s: 0.05, force_n: 40.0, tolerance_m: 0.005, mass_kg: 0.0 };
 
 /// A robot with a gripper and a cube of 50 mm between its fingers.
 fn config(law: Law, mass_kg: f64) -> Config {

@@ -100,7 +100,7 @@ impl Hand {
 
     fn state(&self, state: &franka::GripperState, phase: GripperPhase) -> GripperState {
         let (width_m, width_max_m) = (state.width, state.max_width);
-        GripperState { width_m, width_max_m, phase, requests: 0, fault: self.fault }
+        GripperState { width_m, width_max_m, phase, fault: self.fault, ..GripperState::default() }
     }
 
     /// Returns what went wrong with the latest request.
@@ -151,7 +151,7 @@ fn carried_out(hand: &Gripper, request: &GripperRequest, widest_m: f64) -> End {
     let answer = match *request {
         GripperRequest::Home => hand.homing(),
         GripperRequest::Move { width_m, speed_m_s } => hand.move_gripper(width_m, speed_m_s),
-        GripperRequest::Grasp { width_m, speed_m_s, force_n, tolerance_m } => {
+        GripperRequest::Grasp { width_m, speed_m_s, force_n, tolerance_m, mass_kg: _ } => {
             hand.grasp(width_m, speed_m_s, force_n, tolerance_m, tolerance_m)
         }
         GripperRequest::Release => hand.move_gripper(widest_m, RELEASE_M_S),

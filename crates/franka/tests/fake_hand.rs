@@ -150,7 +150,7 @@ fn rests(hand: &mut Hand) -> GripperState {
 }
 
 const GRASP: GripperRequest =
-    GripperRequest::Grasp { width_m: 0.05, speed_m_s: 0.05, force_n: 40.0, tolerance_m: 0.005 };
+    GripperRequest::Grasp { width_m: 0.05, speed_m_s: 0.05, force_n: 40.0, tolerance_m: 0.005, mass_kg: 0.0 };
 const MOVE: GripperRequest = GripperRequest::Move { width_m: 0.02, speed_m_s: 0.05 };
 
 #[test]

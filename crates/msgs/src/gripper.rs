@@ -3,7 +3,8 @@
 //! ```
 //! use moca_msgs::gripper::{FRANKA_HAND, GripperRefusal, GripperRequest};
 //!
-//! let grasp = GripperRequest::Grasp { width_m: 0.05, speed_m_s: 0.05, force_n: 40.0, tolerance_m: 0.005 };
+//! let (width_m, speed_m_s) = (0.05, 0.05);
+//! let grasp = GripperRequest::Grasp { width_m, speed_m_s, force_n: 40.0, tolerance_m: 0.005, mass_kg: 0.5 };
 //! assert_eq!(grasp.check(&FRANKA_HAND), Ok(()));
 //! let wide = GripperRequest::Move { width_m: 0.09, speed_m_s: 0.05 };
 //! let refusal = wide.check(&FRANKA_HAND).unwrap_err();
@@ -25,6 +26,8 @@ pub struct GripperTable {
     pub speed_m_s: [f64; 2],
     /// Least and largest force of a grasp, N.
     pub force_n: [f64; 2],
+    /// Largest mass of an object, kg.
+    pub object_max_kg: f64,
     /// Middle between the fingertips in the flange's axes, m.
     pub tip_flange_m: [f64; 3],
     /// Direction in which the fingers close, in the flange's axes, unit.
@@ -32,11 +35,12 @@ pub struct GripperTable {
 }
 
 /// The Franka Hand, in which the fingers' axes are turned by -45° about the flange's z. Width, speed and continuous force: data
-/// sheet; tip: Franka's description of the robot.
+/// sheet; tip: Franka's description of the robot; mass: the arm's payload of 3 kg without the hand's 0.73.
 pub const FRANKA_HAND: GripperTable = GripperTable {
     width_max_m: 0.08,
     speed_m_s: [0.001, 0.1],
     force_n: [1.0, 70.0],
+    object_max_kg: 2.27,
     tip_flange_m: [0.0, 0.0, 0.1034],
     closing_flange: [core::f64::consts::FRAC_1_SQRT_2, core::f64::consts::FRAC_1_SQRT_2, 0.0],
 };
@@ -70,6 +74,8 @@ pub enum GripperRequest {
         force_n: f64,
         /// Largest difference between that width and the object's, m.
         tolerance_m: f64,
+        /// Mass of the object, which the laws carry from the moment in which it is held, kg; 0: not told.
+        mass_kg: f64,
     },
     /// Open the fingers as far as they go.
     Release,
@@ -89,16 +95,19 @@ pub enum GripperQuantity {
     Force,
     /// Tolerance of a grasp's width.
     Tolerance,
+    /// Mass of the object.
+    Mass,
 }
 
 impl GripperQuantity {
     /// Name and unit.
     const fn words(self) -> [&'static str; 2] {
         match self {
-            Self::Width => ["width", "m"],
-            Self::Speed => ["speed", "m/s"],
-            Self::Force => ["force", "N"],
-            Self::Tolerance => ["tolerance", "m"],
+            Self::Width => ["width of the gripper", "m"],
+            Self::Speed => ["speed of the gripper", "m/s"],
+            Self::Force => ["force of the gripper", "N"],
+            Self::Tolerance => ["tolerance of the gripper", "m"],
+            Self::Mass => ["mass of the object", "kg"],
         }
     }
 }
@@ -128,7 +137,7 @@ impl fmt::Display for GripperRefusal {
             Self::NoGripper => f.write_str("the robot has no gripper: set plant.gripper, restart the daemon"),
             Self::OutOfRange { quantity, value, allowed: [min, max] } => {
                 let [name, unit] = quantity.words();
-                write!(f, "{name} of the gripper = {value} {unit}; allowed: {min} to {max} {unit}")
+                write!(f, "{name} = {value} {unit}; allowed: {min} to {max} {unit}")
             }
             Self::Silent => {
                 f.write_str("the gripper does not answer: check its plug and power, then ask again")
@@ -157,10 +166,11 @@ impl GripperRequest {
         match *self {
             Self::Home | Self::Release | Self::Stop => Ok(()),
             Self::Move { width_m, speed_m_s } => moves(width_m, speed_m_s),
-            Self::Grasp { width_m, speed_m_s, force_n, tolerance_m } => {
+            Self::Grasp { width_m, speed_m_s, force_n, tolerance_m, mass_kg } => {
                 moves(width_m, speed_m_s)?;
                 within(GripperQuantity::Force, force_n, gripper.force_n)?;
-                within(GripperQuantity::Tolerance, tolerance_m, [TOLERANCE_MIN_M, widest_m])
+                within(GripperQuantity::Tolerance, tolerance_m, [TOLERANCE_MIN_M, widest_m])?;
+                within(GripperQuantity::Mass, mass_kg, [0.0, gripper.object_max_kg])
             }
         }
     }
@@ -316,6 +326,10 @@ pub struct GripperState {
     pub requests: u32,
     /// Fault since the last request.
     pub fault: Option<GripperFault>,
+    /// Mass of the held object as the grasp told it, kg; 0 where nothing is held or nothing was told.
+    pub object_kg: f64,
+    /// Middle between the fingertips in the flange's axes, where the laws count with that mass, m.
+    pub object_flange_m: [f64; 3],
 }
 
 impl GripperState {
@@ -325,10 +339,13 @@ impl GripperState {
     }
 }
 
-/// `holding, 50.0 mm between the fingers`, and the fault's sentences.
+/// `holding, 50.0 mm between the fingers, 0.5 kg carried`, and the fault's sentences.
 impl fmt::Display for GripperState {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}, {:.1} mm between the fingers", self.phase.name(), 1e3 * self.width_m)?;
+        if self.object_kg > 0.0 {
+            write!(f, ", {} kg carried", self.object_kg)?;
+        }
         self.fault.map_or(Ok(()), |fault| write!(f, ". {fault}"))
     }
 }
@@ -342,7 +359,20 @@ mod tests {
     const GRASP: (f64, f64, f64, f64) = (0.05, 0.05, 40.0, 0.005);
 
     fn grasp((width_m, speed_m_s, force_n, tolerance_m): (f64, f64, f64, f64)) -> GripperRequest {
-        GripperRequest::Grasp { width_m, speed_m_s, force_n, tolerance_m }
+        GripperRequest::Grasp { width_m, speed_m_s, force_n, tolerance_m, mass_kg: 0.0 }
+    }
+
+    #[test]
+    fn mass_beyond_the_payload_names_the_object() {
+        let heavy = |mass_kg| {
+            let (width_m, speed_m_s, force_n, tolerance_m) = GRASP;
+            GripperRequest::Grasp { width_m, speed_m_s, force_n, tolerance_m, mass_kg }.check(&FRANKA_HAND)
+        };
+        assert_eq!(heavy(2.27), Ok(()));
+        for (bad, said) in [(2.28, "2.28"), (-1e-3, "-0.001"), (f64::NAN, "NaN")] {
+            let expected = std::format!("mass of the object = {said} kg; allowed: 0 to 2.27 kg");
+            assert_eq!(heavy(bad).unwrap_err().to_string(), expected);
+        }
     }
 
     #[test]
@@ -391,6 +421,8 @@ mod tests {
         let held = GripperState { width_m: 0.05, phase: GripperPhase::Holding, ..GripperState::default() };
         assert!(held.is_holding() && !GripperState::default().is_holding());
         assert_eq!(held.to_string(), "holding, 50.0 mm between the fingers");
+        let heavy = GripperState { object_kg: 0.5, ..held };
+        assert_eq!(heavy.to_string(), "holding, 50.0 mm between the fingers, 0.5 kg carried");
         let lost = GripperState { phase: GripperPhase::Moving, fault: Some(GripperFault::Lost), ..held };
         assert!(lost.to_string().ends_with(
             "fingers. The object that was held is gone. See where it fell. Grasp it again with more force."

@@ -102,6 +102,8 @@ pub(crate) struct Gripper {
     holding: bool,
     fault: Option<GripperFault>,
     requests: u32,
+    /// Mass that the last grasp told, kg.
+    told_kg: f64,
     /// Place of the cube; `None` without one.
     place: Option<Place>,
     /// Centre of the cube where its support stands, m.
@@ -128,6 +130,7 @@ impl Gripper {
             holding: false,
             fault: None,
             requests: 0,
+            told_kg: 0.0,
             place: (object.mass_kg > 0.0).then_some(Place::Standing { position_world }),
             support_world: position_world,
             last: (*flange, tip_world, [0.0; 3]),
@@ -147,7 +150,8 @@ impl Gripper {
         self.motion = match *request {
             GripperRequest::Home => Motion::Home { done: 0 },
             GripperRequest::Move { width_m, speed_m_s } => Motion::To { width_m, speed_m_s },
-            GripperRequest::Grasp { width_m, speed_m_s, force_n, tolerance_m } => {
+            GripperRequest::Grasp { width_m, speed_m_s, force_n, tolerance_m, mass_kg } => {
+                self.told_kg = mass_kg;
                 Motion::Close { asked_m: width_m, tolerance_m, grip: Grip { force_n, speed_m_s } }
             }
             GripperRequest::Release => Motion::To { width_m: self.table.width_max_m, speed_m_s: RELEASE_M_S },
@@ -177,6 +181,8 @@ impl Gripper {
             phase,
             requests: self.requests,
             fault: if self.plugged { self.fault } else { Some(GripperFault::Unplugged) },
+            object_kg: if self.holding { self.told_kg } else { 0.0 },
+            object_flange_m: self.table.tip_flange_m,
         }
     }
 

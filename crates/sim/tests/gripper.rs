@@ -34,7 +34,7 @@ fn settle(plant: &mut SimPlant) -> (GripperPhase, Option<GripperFault>) {
 }
 
 fn grasp(width_m: f64, force_n: f64) -> GripperRequest {
-    GripperRequest::Grasp { width_m, speed_m_s: 0.05, force_n, tolerance_m: 0.005 }
+    GripperRequest::Grasp { width_m, speed_m_s: 0.05, force_n, tolerance_m: 0.005, mass_kg: 0.0 }
 }
 
 fn ask(plant: &mut SimPlant, request: GripperRequest) -> (GripperPhase, Option<GripperFault>) {
@@ -326,4 +326,27 @@ fn object_stands_where_it_was_put_until_the_fingers_are_there() {
         (GripperPhase::Resting, Some(GripperFault::NothingGrasped))
     );
     assert_eq!(plant.object_position_world(), Some([2.0, 0.0, 0.4]));
+}
+
+#[test]
+fn told_mass_is_reported_while_the_object_is_held() {
+    let mut plant = plant(Engine::Analytic, BOX);
+    let GripperRequest::Grasp { width_m, speed_m_s, force_n, tolerance_m, .. } = grasp(0.05, 40.0) else {
+        panic!()
+    };
+    let told = |plant: &SimPlant| plant.gripper().unwrap().object_kg;
+    let heavy = GripperRequest::Grasp { width_m, speed_m_s, force_n, tolerance_m, mass_kg: 0.4 };
+    assert_eq!(plant.gripper().unwrap().object_flange_m, FRANKA_HAND.tip_flange_m);
+    plant.request_gripper(&heavy).unwrap();
+    assert_eq!(told(&plant), 0.0, "the fingers are on their way");
+    assert_eq!(settle(&mut plant), (GripperPhase::Holding, None));
+    assert_eq!(told(&plant), 0.4);
+    ask(&mut plant, GripperRequest::Stop);
+    assert_eq!(told(&plant), 0.4, "stopped fingers hold on");
+    plant.request_gripper(&GripperRequest::Release).unwrap();
+    plant.step().unwrap();
+    assert_eq!(told(&plant), 0.0, "the fingers have left it");
+    settle(&mut plant);
+    assert_eq!(ask(&mut plant, grasp(0.05, 40.0)), (GripperPhase::Holding, None));
+    assert_eq!(told(&plant), 0.0, "a grasp that tells no mass");
 }

@@ -53,6 +53,9 @@ pub struct GraspArguments {
     /// Largest difference between WIDTH and the object's, m; a Franka Hand: 0.0001 to 0.08.
     #[arg(long, value_name = "TOLERANCE", default_value_t = 0.005)]
     tolerance: f64,
+    /// Mass of the object, which the arm carries from the moment in which it is held, kg; a Franka Hand: 0 to 2.27; 0: not told.
+    #[arg(long, value_name = "MASS", default_value_t = 0.0)]
+    mass: f64,
 }
 
 /// The gripper holds nothing: exit code 7.
@@ -77,10 +80,10 @@ pub(crate) fn run(command: &Command) -> Result<()> {
         Command::Move(MoveArguments { width_m, speed, common }) => {
             request(GripperRequest::Move { width_m: *width_m, speed_m_s: *speed }, common)
         }
-        Command::Grasp(GraspArguments { to, force, tolerance }) => {
-            let &MoveArguments { width_m, speed, ref common } = to;
-            let (force_n, tolerance_m) = (*force, *tolerance);
-            request(GripperRequest::Grasp { width_m, speed_m_s: speed, force_n, tolerance_m }, common)
+        Command::Grasp(GraspArguments { to, force, tolerance, mass }) => {
+            let &MoveArguments { width_m, speed: speed_m_s, ref common } = to;
+            let (force_n, tolerance_m, mass_kg) = (*force, *tolerance, *mass);
+            request(GripperRequest::Grasp { width_m, speed_m_s, force_n, tolerance_m, mass_kg }, common)
         }
         Command::Release(common) => request(GripperRequest::Release, common),
         Command::Stop(common) => request(GripperRequest::Stop, common),

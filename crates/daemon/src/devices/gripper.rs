@@ -31,7 +31,7 @@ pub trait Gripper: Send + 'static {
     /// Begins a request, which is within the ranges. It ends the one before. Nothing but a request opens the fingers.
     fn begin(&mut self, request: &GripperRequest);
 
-    /// Returns what the gripper reports, or `None` if it does not answer. The count of requests is the thread's.
+    /// Returns what the gripper reports, or `None` if it does not answer. The count of requests and the object's mass are the thread's.
     fn read(&mut self) -> Option<GripperState>;
 }
 
@@ -42,6 +42,8 @@ pub struct GripperThread {
     states: rtrb::Consumer<GripperState>,
     /// Requests handed to the thread.
     handed: u32,
+    /// Mass that the last grasp told, kg.
+    told_kg: f64,
     /// State that came last.
     last: GripperState,
     ended: Arc<AtomicBool>,
@@ -63,6 +65,7 @@ impl GripperThread {
             width_max_m: table.width_max_m,
             phase: GripperPhase::Unknown,
             fault: Some(GripperFault::Unplugged),
+            object_flange_m: table.tip_flange_m,
             ..GripperState::default()
         };
         let drive = move || {
@@ -81,13 +84,14 @@ impl GripperThread {
             }
         };
         let thread = Some(std::thread::Builder::new().name("gripper".into()).spawn(drive)?);
-        Ok(Self { table, requests, states, handed: 0, last: silent, ended, thread })
+        Ok(Self { table, requests, states, handed: 0, told_kg: 0.0, last: silent, ended, thread })
     }
 
     /// Returns the newest state; one that a request is on its way to moves.
     fn state(&mut self) -> GripperState {
         while let Ok(state) = self.states.pop() {
-            self.last = state;
+            let object_kg = self.object_kg(&state);
+            self.last = GripperState { object_kg, object_flange_m: self.table.tip_flange_m, ..state };
         }
         if self.states.is_abandoned() {
             (self.last.phase, self.last.fault) = (GripperPhase::Unknown, Some(GripperFault::Unplugged));
@@ -98,6 +102,17 @@ impl GripperThread {
         GripperState { requests: self.handed, phase, fault, ..self.last }
     }
 
+    /// Mass of the object that is held in `state`, kg. A gripper that is silent, or has not begun the last request yet, holds what it
+    /// held.
+    const fn object_kg(&self, state: &GripperState) -> f64 {
+        match state.phase {
+            _ if state.requests != self.handed => self.last.object_kg,
+            GripperPhase::Unknown => self.last.object_kg,
+            GripperPhase::Holding => self.told_kg,
+            GripperPhase::Resting | GripperPhase::Moving => 0.0,
+        }
+    }
+
     /// Hands a request to the thread.
     fn request(&mut self, request: &GripperRequest) -> Result<(), GripperRefusal> {
         if self.state().phase == GripperPhase::Unknown {
@@ -105,6 +120,9 @@ impl GripperThread {
         }
         request.check(&self.table)?;
         self.requests.push(*request).map_err(|_| GripperRefusal::Silent)?;
+        if let GripperRequest::Grasp { mass_kg, .. } = request {
+            self.told_kg = *mass_kg;
+        }
         self.handed += 1;
         Ok(())
     }
@@ -284,6 +302,44 @@ mod tests {
     const RELEASE: GripperRequest = GripperRequest::Release;
 
     #[test]
+    fn told_mass_is_held_as_long_as_the_object() {
+        let (hand, mut robot) = holding();
+        let report = |phase| *hand.reports.lock().unwrap() = Some(GripperState { phase, ..held() });
+        let grasp = GripperRequest::Grasp {
+            width_m: 0.05,
+            speed_m_s: 0.05,
+            force_n: 40.0,
+            tolerance_m: 0.005,
+            mass_kg: 0.5,
+        };
+        let mass = |state: &GripperState| (state.object_kg, state.object_flange_m);
+        let (tip, none) = (FRANKA_HAND.tip_flange_m, 0.0);
+        assert_eq!(mass(&robot.gripper().unwrap()), (none, tip), "held from before: nobody told its mass");
+        report(GripperPhase::Moving);
+        robot.request_gripper(&grasp).unwrap();
+        assert_eq!(mass(&robot.gripper().unwrap()), (none, tip), "the fingers do not hold it yet");
+        report(GripperPhase::Holding);
+        wait(&mut robot, |state| state.object_kg > 0.0);
+        assert_eq!(mass(&robot.gripper().unwrap()), (0.5, tip));
+        // A stop that the hand has not begun yet moves, and the object stays held.
+        let hangs = hand.hangs.lock().unwrap();
+        robot.request_gripper(&GripperRequest::Stop).unwrap();
+        let state = robot.gripper().unwrap();
+        assert_eq!((state.phase, state.object_kg), (GripperPhase::Moving, 0.5));
+        drop(hangs);
+        wait(&mut robot, |state| state.is_holding());
+        *hand.reports.lock().unwrap() = None;
+        let state = wait(&mut robot, |state| state.phase == GripperPhase::Unknown);
+        assert_eq!(mass(&state), (0.5, tip), "an unplugged hand does not open");
+        report(GripperPhase::Holding);
+        let state = wait(&mut robot, |state| state.is_holding());
+        assert_eq!(mass(&state), (0.5, tip));
+        report(GripperPhase::Resting);
+        let state = wait(&mut robot, |state| state.phase == GripperPhase::Resting);
+        assert_eq!(mass(&state), (none, tip));
+    }
+
+    #[test]
     fn request_is_begun_by_another_thread_and_moves_until_reported() {
         let (hand, mut robot) = holding();
         let hangs = hand.hangs.lock().unwrap();
@@ -304,7 +360,7 @@ mod tests {
         drop(robot);
         let mut again = on(&hand);
         let state = wait(&mut again, |state| state.phase != GripperPhase::Unknown);
-        assert_eq!(state, held());
+        assert_eq!(state, GripperState { object_flange_m: FRANKA_HAND.tip_flange_m, ..held() });
         assert!(hand.begun.lock().unwrap().is_empty(), "neither the end nor the start asks for anything");
     }
 

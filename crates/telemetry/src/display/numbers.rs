@@ -30,7 +30,7 @@ message! { "moca_msgs/msg/Link" Link {
     errors,
 } }
 message! { "moca_msgs/msg/Target" Target { tick, kind, phase, progress } }
-message! { "moca_msgs/msg/Gripper" Gripper { tick, width_m, width_max_m, phase, requests, fault } }
+message! { "moca_msgs/msg/Gripper" Gripper { tick, width_m, width_max_m, phase, requests, fault, object_kg, object_flange_m } }
 message! { "moca_msgs/msg/Mode" ModeChange { tick, mode } }
 message! { "moca_msgs/msg/Fault" FaultChange { tick, code, text, remedy, board, json } }
 message! { "moca_msgs/msg/Board" BoardChange { tick, text, json } }

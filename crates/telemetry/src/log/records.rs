@@ -529,12 +529,18 @@ pub struct Gripper {
     pub requests: u32,
     /// Code of the fault since the last request; empty without one.
     pub fault: String,
+    /// Mass of the held object as the grasp told it, kg; 0 for none.
+    #[serde(deserialize_with = "scalar")]
+    pub object_kg: f64,
+    /// Middle between the fingertips in the flange's axes, m.
+    pub object_flange_m: [f64; 3],
 }
 
 impl Gripper {
     /// `gripper`, which a sample of `tick` carried.
     pub fn new(tick: u64, gripper: &GripperState) -> Self {
-        let GripperState { width_m, width_max_m, phase, requests, fault } = *gripper;
+        let GripperState { width_m, width_max_m, phase, requests, fault, object_kg, object_flange_m } =
+            *gripper;
         Self {
             tick,
             width_m,
@@ -542,14 +548,17 @@ impl Gripper {
             phase,
             requests,
             fault: fault.map_or("", GripperFault::code).into(),
+            object_kg,
+            object_flange_m,
         }
     }
 
     /// Returns the state as the sample carried it.
     pub fn state(&self) -> GripperState {
-        let Self { tick: _, width_m, width_max_m, phase, requests, ref fault } = *self;
+        let Self { tick: _, width_m, width_max_m, phase, requests, ref fault, object_kg, object_flange_m } =
+            *self;
         let fault = GripperFault::ALL.into_iter().find(|one| one.code() == fault);
-        GripperState { width_m, width_max_m, phase, requests, fault }
+        GripperState { width_m, width_max_m, phase, requests, fault, object_kg, object_flange_m }
     }
 }
 
