@@ -114,6 +114,42 @@ fn below_tip_m(world: &World) -> f64 {
     (distance_m(object_world(world), flange) - FRANKA_HAND.tip_flange_m[2]).abs()
 }
 
+/// Largest and last distance of the flange from its place, m, in the 3 s after 1 kg is held whose mass was told as `told_kg`, and
+/// in the 3 s after it is let go.
+fn drop_m(law: Law, told_kg: f64) -> [[f64; 2]; 2] {
+    let GripperRequest::Grasp { width_m, speed_m_s, force_n, tolerance_m, .. } = GRASP else { panic!() };
+    let grasp = GripperRequest::Grasp { width_m, speed_m_s, force_n, tolerance_m, mass_kg: told_kg };
+    let mut world = world(&config(law, 1.0));
+    let place = run(&mut world, 1000).flange_position_world;
+    [(grasp, true), (GripperRequest::Release, false)].map(|(request, holds)| {
+        ask(&mut world, request).unwrap();
+        assert_eq!(settle(&mut world).is_holding(), holds);
+        let (mut most_m, mut off_m) = (0.0_f64, 0.0);
+        for _ in 0..3000 {
+            let sample = world.step(None).0;
+            assert_eq!(sample.mode, law.into());
+            assert_eq!(
+                sample.gripper.unwrap().object_kg.to_bits(),
+                if holds { told_kg } else { 0.0 }.to_bits()
+            );
+            off_m = distance_m(sample.flange_position_world, place);
+            most_m = most_m.max(off_m);
+        }
+        [most_m, off_m]
+    })
+}
+
+#[test]
+fn flange_stays_under_an_object_whose_mass_is_told() {
+    for law in [Law::Impedance, Law::FollowMe] {
+        let (told, untold) = (drop_m(law, 1.0), drop_m(law, 0.0));
+        println!("{law:?}: 1 kg told {told:?} m, not told {untold:?} m");
+        assert!(told.as_flattened().iter().all(|off_m| *off_m < 2e-3), "{law:?}: {told:?} m");
+        let [[_, sags_m], [_, let_go_m]] = untold;
+        assert!(sags_m > 1e-2 && let_go_m < 2e-3, "{law:?}: {untold:?} m");
+    }
+}
+
 #[test]
 fn grasp_of_nothing_and_of_a_box_too_large_say_so() {
     for (mass_kg, size_m, fault) in

@@ -134,7 +134,7 @@ fn grasp_comes_out_the_same_and_a_changed_one_is_found() {
         speed_m_s: 0.1,
         force_n: 40.0,
         tolerance_m: 0.005,
-        mass_kg: 0.0,
+        mass_kg: 0.5,
     };
     let wide = GripperRequest::Move { width_m: 1.0, speed_m_s: 0.1 };
     for request in [grasp, wide, GripperRequest::Stop, GripperRequest::Release] {

@@ -6,10 +6,10 @@ use crate::loop_state::{ControllerMemory, Memory, OtherRobot};
 use crate::recentre::PosturePlace;
 use crate::robot::{JOINTS, Parts, TAXELS};
 use crate::targets::{Order, Targets, arm_target};
-use moca_msgs::robot::resized;
+use moca_msgs::robot::{LinkInertial, resized};
 use moca_msgs::{
-    Fault, Outcome, ParameterError, Parameters, Refusal, Request, RobotCommand, RobotState, Target,
-    TargetRefusal,
+    ArmTable, Fault, Mount, Outcome, ParameterError, Parameters, Payload, Refusal, Request, RobotCommand,
+    RobotState, Target, TargetRefusal,
 };
 use moca_wbc::nalgebra::Matrix3;
 use moca_wbc::reference_generator::{ReferenceBounds, Workspace};
@@ -50,6 +50,14 @@ pub(super) trait Controller: Send {
     /// # Errors
     /// It is of a robot with other parts or joints.
     fn restore(&mut self, memory: &ControllerMemory) -> Result<(), OtherRobot>;
+
+    /// Carries `object`, flange's axes, in the hand from the next step on; one without mass is none.
+    ///
+    /// # Errors
+    /// No body; nothing is changed.
+    fn carry(&mut self, _: &LinkInertial) -> Result<(), ParameterError> {
+        Ok(())
+    }
 
     /// Forgets what it remembers: the next step enters the law from the measured state.
     fn leave(&mut self);
@@ -146,21 +154,35 @@ fn other_joints(joints: usize) -> ParameterError {
     ParameterError { name: "robot.arm", value, unit: "joints", min: 6.0, max: 7.0 }
 }
 
+/// Tables of an arm of `N` joints, for a model with another load.
+struct ArmTables<const N: usize> {
+    arm: ArmTable<N>,
+    mount: Mount,
+    payload: Payload,
+}
+
+impl<const N: usize> ArmTables<N> {
+    fn new(config: &Config) -> Result<Self, ParameterError> {
+        let arm = config.arm().table::<N>().ok_or(other_joints(config.arm().joints))?;
+        Ok(Self { arm, mount: config.robot.mount, payload: config.robot.payload() })
+    }
+}
+
 /// An arm of `N` joints on a base with a cover.
 struct Whole<const N: usize> {
+    tables: ArmTables<N>,
     controller: WholeBodyController<N, TAXELS>,
     state: Option<ControllerState<N>>,
 }
 
 impl<const N: usize> Whole<N> {
     fn new(config: &Config, parameters: &Parameters<JOINTS>) -> Result<Self, ParameterError> {
-        let arm = &config.arm().table::<N>().ok_or(other_joints(config.arm().joints))?;
-        let (mount, payload, taxels) =
-            (config.robot.mount, config.robot.payload(), config.robot.cover.placements());
-        let whole = WholeBodyController::new(arm, &mount, &payload, &taxels, &parameters.resized())?;
+        let (tables, taxels) = (ArmTables::new(config)?, config.robot.cover.placements());
+        let ArmTables { arm, mount, payload } = &tables;
+        let whole = WholeBodyController::new(arm, mount, payload, &taxels, &parameters.resized())?;
         let guard = config.self_collision()?;
         let controller = guard.map_or(whole, |guard| whole.with_self_collision(guard));
-        Ok(Self { controller, state: None })
+        Ok(Self { tables, controller, state: None })
     }
 }
 
@@ -182,6 +204,15 @@ where
 
     fn restore(&mut self, memory: &ControllerMemory) -> Result<(), OtherRobot> {
         self.state = memory.try_into()?;
+        Ok(())
+    }
+
+    fn carry(&mut self, object: &LinkInertial) -> Result<(), ParameterError> {
+        let ArmTables { arm, mount, payload } = &self.tables;
+        self.controller = self.controller.carrying(arm, mount, payload, object)?;
+        if let Some(state) = &mut self.state {
+            state.change_model();
+        }
         Ok(())
     }
 
@@ -332,18 +363,19 @@ impl Controller for Base {
 
 /// An arm of `N` joints on a stand.
 struct Arm<const N: usize> {
+    tables: ArmTables<N>,
     controller: ArmController<N>,
     state: Option<ArmState<N>>,
 }
 
 impl<const N: usize> Arm<N> {
     fn new(config: &Config, parameters: &Parameters<JOINTS>) -> Result<Self, ParameterError> {
-        let arm = &config.arm().table::<N>().ok_or(other_joints(config.arm().joints))?;
-        let (mount, payload) = (config.robot.mount, config.robot.payload());
-        let alone = ArmController::new(arm, &mount, &payload, &parameters.resized())?;
+        let tables = ArmTables::new(config)?;
+        let ArmTables { arm, mount, payload } = &tables;
+        let alone = ArmController::new(arm, mount, payload, &parameters.resized())?;
         let guard = config.self_collision()?;
         let controller = guard.map_or(alone, |guard| alone.with_self_collision(guard));
-        Ok(Self { controller, state: None })
+        Ok(Self { tables, controller, state: None })
     }
 }
 
@@ -365,6 +397,15 @@ where
 
     fn restore(&mut self, memory: &ControllerMemory) -> Result<(), OtherRobot> {
         self.state = memory.try_into()?;
+        Ok(())
+    }
+
+    fn carry(&mut self, object: &LinkInertial) -> Result<(), ParameterError> {
+        let ArmTables { arm, mount, payload } = &self.tables;
+        self.controller = self.controller.carrying(arm, mount, payload, object)?;
+        if let Some(state) = &mut self.state {
+            state.change_model();
+        }
         Ok(())
     }
 

@@ -51,6 +51,8 @@ pub struct FlangeWrench {
     /// Sensor in the flange's axes, m.
     position_flange: Vector3<f64>,
     /// Tool and load, flange's axes.
+    payload: LinkInertial,
+    /// Those and the object in the hand.
     carried: LinkInertial,
     deadline_s: f64,
     /// Largest magnitude of each axis.
@@ -135,11 +137,13 @@ impl FlangeWrench {
         let is_there = plant.flange_sensor != FlangeSensorKind::None && plant.parts.has_arm();
         let [x, y, z, roll, pitch, yaw] = plant.flange_sensor_origin;
         let zero = FlangeZero::Invalid(FlangeTare::Missing);
+        let payload = config.robot.payload().inertial;
         is_there.then(|| Self {
             joints: config.arm().joints,
             flange_from_sensor: rotation::from_rpy([roll, pitch, yaw]),
             position_flange: Vector3::new(x, y, z),
-            carried: config.robot.payload().inertial,
+            payload,
+            carried: payload,
             deadline_s: plant.flange_sensor_deadline_s,
             range: axes(plant.flange_sensor_range),
             state: FlangeState { zero, last: [0.0; 6], same_s: 0.0 },
@@ -154,6 +158,11 @@ impl FlangeWrench {
     /// Goes on from where `state` was taken.
     pub const fn restore(&mut self, state: &FlangeState) {
         self.state = *state;
+    }
+
+    /// Knows of an object in the hand, flange's axes; one without mass is none.
+    pub fn carry(&mut self, object: &LinkInertial) {
+        self.carried = self.payload.with(object);
     }
 
     /// Begins a tare; the zero before it is void.

@@ -9,7 +9,7 @@ use crate::controller::{self, Controller, LawInput};
 use crate::cover::CoverState;
 use crate::flange_sensor::{FlangeReading, FlangeWrench};
 use crate::foam_recovery::FoamRecovery;
-use crate::loop_state::{MotionState, OtherRobot};
+use crate::loop_state::{Beyond, MotionState, OtherRobot};
 use crate::plant::SourceAge;
 use crate::protection::{Protected, Protection};
 use crate::recentre::Recentre;
@@ -19,9 +19,10 @@ use crate::targets::Targets;
 use crate::uncalibrated::PushCap;
 use crate::uncovered::Uncovered;
 use moca_msgs::request::ARMING_POSTURE_RAD;
+use moca_msgs::robot::LinkInertial;
 use moca_msgs::{
-    Actuation, ContactRow, Fault, Mode, Outcome, ParameterError, ParameterValues, Parameters, PostureOffset,
-    Request, RobotState, TargetState, TaxelStatus,
+    Actuation, ContactRow, Fault, GripperState, Mode, Outcome, ParameterError, ParameterValues, Parameters,
+    Payload, PostureOffset, Request, RobotState, TargetState, TaxelStatus,
 };
 use moca_wbc::nalgebra::Matrix3;
 use moca_wbc::rotation;
@@ -50,6 +51,8 @@ pub struct Motion {
     compensation: Option<Compensation>,
     /// Sensor at the flange, if there is one.
     flange: Option<Flange>,
+    /// Object in the hand; `None` for none.
+    object: Option<LinkInertial>,
     parts: Parts,
     /// Protection of the present tick.
     protected: Protected,
@@ -105,6 +108,7 @@ impl Motion {
             recovery,
             compensation,
             flange,
+            object: None,
             parts,
             protected,
             twisted: false,
@@ -137,6 +141,30 @@ impl Motion {
         robot.flange_wrench_world = None;
         let Some(tool_axes) = self.controller.tool_axes_world(robot) else { return Ok(()) };
         robot.flange_wrench_world = wrench.feel(reading, robot, &(tool_axes * *tool_from_flange), dt_s)?;
+        Ok(())
+    }
+
+    /// Carries what the gripper holds, a point mass between the fingertips, from this tick on. No gripper holds nothing.
+    pub fn carry(&mut self, gripper: Option<&GripperState>) {
+        let held = gripper.filter(|gripper| gripper.object_kg > 0.0);
+        let object = held.map(|gripper| LinkInertial {
+            mass_kg: gripper.object_kg,
+            com_m: gripper.object_flange_m,
+            ..Payload::NONE.inertial
+        });
+        if object != self.object {
+            // A driver's report of what is no body changes nothing.
+            let _ = self.take_object(object);
+        }
+    }
+
+    fn take_object(&mut self, object: Option<LinkInertial>) -> Result<(), ParameterError> {
+        let body = object.unwrap_or(Payload::NONE.inertial);
+        self.controller.carry(&body)?;
+        if let Some(flange) = &mut self.flange {
+            flange.wrench.carry(&body);
+        }
+        self.object = object;
         Ok(())
     }
 
@@ -258,7 +286,10 @@ impl Motion {
             recentre: self.recentre.state(),
             recovery: self.recovery,
             compensation: self.compensation.as_ref().map(Compensation::state),
-            flange: self.flange.as_ref().map(|flange| flange.wrench.state()),
+            beyond: Beyond {
+                flange: self.flange.as_ref().map(|flange| flange.wrench.state()),
+                object: self.object,
+            },
         }
     }
 
@@ -270,6 +301,7 @@ impl Motion {
         let mut parameters = state.parameters;
         parameters.limits.period_s = self.parameters.limits.period_s;
         self.controller.set_parameters(&parameters).map_err(|_| OtherRobot)?;
+        self.take_object(state.beyond.object).map_err(|_| OtherRobot)?;
         self.controller.restore(&state.controller)?;
         self.take_parameters(&parameters);
         self.protection.restore(&state.protection);
@@ -282,7 +314,7 @@ impl Motion {
         self.recovery = state.recovery;
         restored(self.compensation.as_mut(), state.compensation.as_ref(), Compensation::restore)?;
         let flange = self.flange.as_mut().map(|flange| &mut flange.wrench);
-        restored(flange, state.flange.as_ref(), FlangeWrench::restore)?;
+        restored(flange, state.beyond.flange.as_ref(), FlangeWrench::restore)?;
         Ok(())
     }
 

@@ -15,6 +15,7 @@ use crate::targets::TargetsState;
 use crate::uncalibrated::PushCapState;
 use crate::uncovered::UncoveredState;
 use moca_msgs::Parameters;
+use moca_msgs::robot::LinkInertial;
 use moca_tactile::Cover;
 use moca_wbc::{ArmState, BaseState, ControllerState};
 use serde::{Deserialize, Serialize};
@@ -50,9 +51,18 @@ pub struct MotionState {
     pub(super) recentre: RecentreState,
     pub(super) recovery: Option<FoamRecovery>,
     pub(super) compensation: Option<CompensationState>,
-    /// Behind all else in a log, so that those of a robot without a flange sensor keep their form.
+    /// Behind all else in a log.
     #[serde(skip)]
+    pub beyond: Beyond,
+}
+
+/// Memory of what few robots have; a log of a robot without it keeps the form of those before there was any.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Beyond {
+    /// Zero of the flange sensor.
     pub flange: Option<FlangeState>,
+    /// Object in the hand, flange's axes.
+    pub object: Option<LinkInertial>,
 }
 
 /// Memory of the controller of a robot's parts: one variant each, with its conversions to and from a controller's own state.

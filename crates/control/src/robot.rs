@@ -1,6 +1,7 @@
 //! The robot at hand: its arm, base, cover, tool and load as data. Built-in tables are the defaults; a configuration
 //! file, or a URDF for the arm, says what is different.
 
+use moca_msgs::gripper::{FRANKA_HAND, GripperTable};
 pub use moca_msgs::robot::FoamKind;
 use moca_msgs::robot::{
     AnyArm, BaseTable, FR3, LinkCapsule, LinkInertial, Mount, PANDA, PANDA_CAPSULES, PAPER_COVER, Payload,
@@ -316,6 +317,16 @@ pub enum GripperKind {
     Simulated,
     /// A Franka Hand over FCI, on the arm at `plant.arm.host`.
     Fci,
+}
+
+impl GripperKind {
+    /// Ranges and geometry; `None` for none.
+    pub const fn table(self) -> Option<GripperTable> {
+        match self {
+            Self::None => None,
+            Self::Simulated | Self::Fci => Some(FRANKA_HAND),
+        }
+    }
 }
 
 choice!(GripperKind { None: "none", Simulated: "simulated", Fci: "fci" });

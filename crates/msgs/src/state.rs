@@ -120,7 +120,8 @@ pub struct RobotCommand<const N: usize, T = f64> {
     pub base_velocity_body: [T; 3],
     /// Joint torques **including** Coriolis and gravity terms, N·m.
     pub arm_torque_nm: [T; N],
-    /// Share of gravity in them, N·m: the back end of a robot that compensates gravity by itself subtracts it.
+    /// Share of gravity in them, N·m, but for that of an object in the hand: the back end of a robot that compensates gravity by itself
+    /// subtracts it.
     pub arm_gravity_nm: [T; N],
 }
 

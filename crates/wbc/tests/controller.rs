@@ -1,7 +1,7 @@
 //! The step function from outside: entry, doors, limits.
 #![allow(clippy::unwrap_used, clippy::float_cmp, reason = "tests; floats that must be bit-equal")]
 
-use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
+use moca_wbc::robot::{LinkInertial, MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_wbc::{
     ArmController, ArmInput, BaseController, BaseGuard, BaseInput, ControlError, ControlInput, ControlLaw,
     LimitsHit, WholeBodyController,
@@ -42,6 +42,79 @@ fn law_entered_at_rest_gives_gravity_torques() {
             assert!((is - wanted).abs() < 4e-16, "{law:?}: {is} against {wanted}");
         }
     }
+}
+
+#[test]
+fn held_object_is_carried_like_a_load_that_the_arm_does_not_know() {
+    let object = LinkInertial { mass_kg: 1.5, com_m: [0.01, -0.02, 0.11], ..Payload::NONE.inertial };
+    let tool_origin = [0.02, 0.0, 0.1, 0.3, -0.2, 0.5];
+    let tool = Payload {
+        inertial: LinkInertial { mass_kg: 0.7, com_m: [0.0, 0.0, 0.04], ..Payload::NONE.inertial },
+        tool_origin,
+    };
+    let whole = |payload: &Payload| -> WholeBodyController<7, 11> {
+        WholeBodyController::new(&PANDA, &MOCA_MOUNT, payload, &PAPER_COVER, &Parameters::PAPER).unwrap()
+    };
+    let bare = whole(&tool);
+    let known = whole(&Payload { inertial: tool.inertial.with(&object), ..tool });
+    let held = bare.carrying(&PANDA, &MOCA_MOUNT, &tool, &object).unwrap();
+    let mut robot = at_home();
+    robot.dq_rad_s = [0.1, -0.2, 0.3, 0.05, -0.1, 0.2, -0.3];
+    for law in LAWS {
+        let command = |controller: &WholeBodyController<7, 11>| {
+            let mut state = controller.enter(law, &robot).unwrap();
+            controller.step(law, &mut state, &input(robot)).unwrap().command
+        };
+        let (bare, known, held) = (command(&bare), command(&known), command(&held));
+        assert_eq!(held.arm_torque_nm, known.arm_torque_nm, "{law:?}");
+        assert_eq!(held.base_velocity_body, known.base_velocity_body, "{law:?}");
+        for (held, bare) in held.arm_gravity_nm.iter().zip(bare.arm_gravity_nm) {
+            assert!((held - bare).abs() < 1e-12, "{law:?}: {held} against {bare}");
+        }
+    }
+    let none = LinkInertial { mass_kg: 0.0, ..object };
+    let again = held.carrying(&PANDA, &MOCA_MOUNT, &tool, &none).unwrap();
+    let law = ControlLaw::Impedance;
+    let step = |controller: &WholeBodyController<7, 11>| {
+        let mut state = controller.enter(law, &robot).unwrap();
+        controller.step(law, &mut state, &input(robot)).unwrap().command
+    };
+    assert_eq!(step(&again), step(&bare), "an object that is gone leaves nothing");
+    let heavy = LinkInertial { mass_kg: f64::NAN, ..object };
+    assert!(
+        bare.carrying(&PANDA, &MOCA_MOUNT, &tool, &LinkInertial { com_m: [f64::NAN; 3], ..object }).is_err()
+    );
+    assert!(bare.carrying(&PANDA, &MOCA_MOUNT, &tool, &heavy).is_err());
+}
+
+#[test]
+fn arm_that_takes_hold_of_an_object_feels_no_push() {
+    let object = LinkInertial { mass_kg: 1.5, com_m: [0.0, 0.0, 0.1], ..Payload::NONE.inertial };
+    let arm: ArmController<7> =
+        ArmController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &Parameters::PAPER).unwrap();
+    let loaded = arm.carrying(&PANDA, &MOCA_MOUNT, &Payload::NONE, &object).unwrap();
+    // A steady motion with the torques that either model asks for: nobody pushes.
+    let dq_rad_s = [0.1, -0.2, 0.3, 0.05, -0.1, 0.2, -0.3];
+    let run = |tells: bool| {
+        let mut robot = RobotState { dq_rad_s, ..RobotState::at_rest(PANDA.home_rad) };
+        let mut state = arm.enter(&robot).unwrap();
+        let mut most_nm = 0.0_f64;
+        for tick in 0..60 {
+            let controller = if tick < 30 { &arm } else { &loaded };
+            if tick == 30 && tells {
+                state.change_model();
+            }
+            robot.torque_measured_nm = controller.model().dynamics(0.0, &robot.q_rad, &dq_rad_s).bias;
+            // momentum of a steady motion changes with the posture; this short one hardly turns
+            controller.hold(&mut state, &ArmInput { robot, flange_wrench_world: None, dt_s: 1e-3 }).unwrap();
+            if tick >= 30 {
+                most_nm = state.external_torque_nm().iter().map(|nm| nm.abs()).fold(most_nm, f64::max);
+            }
+        }
+        most_nm
+    };
+    let (told, untold) = (run(true), run(false));
+    assert!(told < 0.2 * untold && untold > 1.0, "{told} N·m, {untold} N·m");
 }
 
 #[test]

@@ -128,10 +128,13 @@ pub(super) fn stability(config: &Config, report: Report<'_>) {
     }
     if let Some((joint, needed_nm, most_nm)) = stability.too_heavy(&parameters) {
         let (name, joint) = ("control.gains.posture_rad", joint + 1);
+        let object = config.plant.gripper.table();
+        let object = object
+            .map_or_else(String::new, |gripper| format!(" with {} kg in its gripper", gripper.object_max_kg));
         report(
             name,
             format!(
-                "{name}: joint {joint} needs {needed_nm:.1} N·m there to carry the arm, limits.torque_nm has {most_nm} N·m; \
+                "{name}: joint {joint} needs {needed_nm:.1} N·m there to carry the arm{object}, limits.torque_nm has {most_nm} N·m; \
                  give a posture (arm.home_rad of an arm of your own) that needs less"
             ),
         );

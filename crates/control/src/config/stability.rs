@@ -5,7 +5,7 @@ use super::Config;
 use super::live::changed;
 use crate::robot::{JOINTS, Parts};
 use moca_msgs::params::{CONTROLLER, Size};
-use moca_msgs::robot::AnyArm;
+use moca_msgs::robot::{AnyArm, LinkInertial};
 use moca_msgs::{Corrections, Mount, ParameterValues, Parameters, Payload, TrueArm};
 pub use moca_wbc::joint_stiffness::SPARE;
 use moca_wbc::loop_stability::{ClosedLoop, Command, NO_GROWTH_PER_S};
@@ -24,7 +24,8 @@ const HALVINGS: u32 = 14;
 pub struct Stability {
     arm: AnyArm,
     mount: Mount,
-    payload: Payload,
+    /// Tool and load; with a gripper also those with its heaviest object.
+    payloads: Vec<Payload>,
     servo_s: f64,
     parts: Parts,
     /// Time constant of the compensation of unknown loads, s; 0 for none.
@@ -34,10 +35,19 @@ pub struct Stability {
 impl Stability {
     /// Builds the conditions of the configured robot.
     pub fn new(config: &Config) -> Self {
+        let payload = config.robot.payload();
+        let heaviest = config.plant.gripper.table().map(|gripper| {
+            let object = LinkInertial {
+                mass_kg: gripper.object_max_kg,
+                com_m: gripper.tip_flange_m,
+                ..Payload::NONE.inertial
+            };
+            Payload { inertial: payload.inertial.with(&object), ..payload }
+        });
         Self {
             arm: *config.arm(),
             mount: config.robot.mount,
-            payload: config.robot.payload(),
+            payloads: std::iter::once(payload).chain(heaviest).collect(),
             servo_s: config.robot.base.servo_time_constant_s,
             parts: config.plant.parts,
             compensation_s: config.control.compensation.time_s,
@@ -63,16 +73,18 @@ impl Stability {
         let Some(arm) = self.arm.table::<N>() else { return false };
         let q_rad = core::array::from_fn(|i| q_rad[i]);
         let parameters = parameters.resized::<N>();
-        let closed = ClosedLoop::<N>::new(&arm, &self.mount, &self.payload, self.servo_s, &parameters);
-        // numbers that make no model are refused as such, elsewhere
-        let Ok(closed) = closed else { return true };
-        [1.0 - UNKNOWN_SHARE, 1.0 + UNKNOWN_SHARE].into_iter().all(|mass_scale| {
-            let truth = TrueArm { mass_scale, ..TrueArm::AS_DESCRIBED }.applied(&self.arm);
-            let plant = truth.table::<N>().map(|arm| ArmModel::new(&arm, &self.mount, &self.payload));
-            let Some(Ok(plant)) = plant else { return false };
-            [ControlLaw::Impedance, ControlLaw::FollowMe, ControlLaw::Hold].into_iter().all(|law| {
-                let growth = closed.compensated_growth_per_s(law, &plant, self.compensation_s, &q_rad);
-                growth.is_ok_and(|growth_per_s| growth_per_s < NO_GROWTH_PER_S)
+        self.payloads.iter().all(|payload| {
+            let closed = ClosedLoop::<N>::new(&arm, &self.mount, payload, self.servo_s, &parameters);
+            // numbers that make no model are refused as such, elsewhere
+            let Ok(closed) = closed else { return true };
+            [1.0 - UNKNOWN_SHARE, 1.0 + UNKNOWN_SHARE].into_iter().all(|mass_scale| {
+                let truth = TrueArm { mass_scale, ..TrueArm::AS_DESCRIBED }.applied(&self.arm);
+                let plant = truth.table::<N>().map(|arm| ArmModel::new(&arm, &self.mount, payload));
+                let Some(Ok(plant)) = plant else { return false };
+                [ControlLaw::Impedance, ControlLaw::FollowMe, ControlLaw::Hold].into_iter().all(|law| {
+                    let growth = closed.compensated_growth_per_s(law, &plant, self.compensation_s, &q_rad);
+                    growth.is_ok_and(|growth_per_s| growth_per_s < NO_GROWTH_PER_S)
+                })
             })
         })
     }
@@ -101,17 +113,19 @@ impl Stability {
             _ => &[ControlLaw::Impedance, ControlLaw::FollowMe, ControlLaw::Hold],
         };
         let q_rad = core::array::from_fn(|i| q_rad[i]);
-        let closed = ClosedLoop::<N>::new(&arm, &self.mount, &self.payload, self.servo_s, &parameters);
-        // parameters that are at odds with each other are refused as such, elsewhere
-        closed.map_or(true, |closed| {
-            laws.iter().all(|&law| {
-                let growth = closed.growth_per_s(law, Command::AtOnce, &q_rad);
-                growth.is_ok_and(|growth_per_s| growth_per_s < NO_GROWTH_PER_S)
+        self.payloads.iter().all(|payload| {
+            let closed = ClosedLoop::<N>::new(&arm, &self.mount, payload, self.servo_s, &parameters);
+            // parameters that are at odds with each other are refused as such, elsewhere
+            closed.map_or(true, |closed| {
+                laws.iter().all(|&law| {
+                    let growth = closed.growth_per_s(law, Command::AtOnce, &q_rad);
+                    growth.is_ok_and(|growth_per_s| growth_per_s < NO_GROWTH_PER_S)
+                })
             })
         })
     }
 
-    /// The first joint whose torque limit does not carry the arm in its posture: its number (0 is the first), the torque that
+    /// The first joint whose torque limit does not carry the arm in its posture, with the heaviest object in its gripper: its number (0 is the first), the torque that
     /// gravity asks for and the limit, N·m.
     pub(super) fn too_heavy(&self, parameters: &Parameters<JOINTS>) -> Option<(usize, f64, f64)> {
         match self.arm.joints {
@@ -134,15 +148,17 @@ impl Stability {
     fn is_singular_with<const N: usize>(&self, parameters: &Parameters<JOINTS>) -> bool {
         let Some(arm) = self.arm.table::<N>() else { return false };
         // numbers that make no model are refused as such, elsewhere
-        let Ok(model) = ArmModel::<N, f64>::new(&arm, &self.mount, &self.payload) else { return false };
+        let model = self.payloads.first().map(|payload| ArmModel::<N, f64>::new(&arm, &self.mount, payload));
+        let Some(Ok(model)) = model else { return false };
         let q_rad: [f64; N] = core::array::from_fn(|i| parameters.gains.posture_rad[i]);
         let dynamics = model.dynamics(0.0, &q_rad, &[0.0; N]);
         ArmDynamics::new(&dynamics).is_ok_and(|arm| arm.is_singular())
     }
 
     fn too_heavy_with<const N: usize>(&self, parameters: &Parameters<JOINTS>) -> Option<(usize, f64, f64)> {
+        let payload = self.payloads.last()?;
         // numbers that make no model are refused as such, elsewhere
-        let model = ArmModel::<N, f64>::new(&self.arm.table::<N>()?, &self.mount, &self.payload).ok()?;
+        let model = ArmModel::<N, f64>::new(&self.arm.table::<N>()?, &self.mount, payload).ok()?;
         let q_rad: [f64; N] = core::array::from_fn(|i| parameters.gains.posture_rad[i]);
         let needed_nm = model.dynamics(0.0, &q_rad, &[0.0; N]).bias;
         (0..N)
@@ -375,6 +391,44 @@ mod tests {
             "{weak}"
         );
         assert!(Config::parse("[robot.load]\nmass_kg = 60.0\n[plant]\nparts = \"base\"\n").is_ok());
+    }
+
+    #[test]
+    fn heaviest_object_of_a_gripper_counts_like_a_load() {
+        use crate::robot::GripperKind;
+        let mut config = Config::default();
+        let home = config.parameters().gains.posture_rad;
+        let needed = |config: &Config| {
+            let mut weak = config.parameters();
+            weak.limits.torque_nm = [1.0; JOINTS];
+            let (joint, needed_nm, _) = Stability::new(config).too_heavy(&weak).unwrap();
+            assert_eq!(joint, 1, "joint 1 turns about the vertical");
+            needed_nm
+        };
+        let bare_nm = needed(&config);
+        config.plant.gripper = GripperKind::Simulated;
+        let gripper_nm = needed(&config);
+        assert!(gripper_nm > bare_nm + 5.0, "2.27 kg: {bare_nm} N·m without, {gripper_nm} with");
+        config.plant.gripper = GripperKind::None;
+        let tip = moca_msgs::gripper::FRANKA_HAND.tip_flange_m;
+        (config.robot.load.mass_kg, config.robot.load.com_m) = (2.27, tip);
+        assert_eq!(needed(&config).to_bits(), gripper_nm.to_bits());
+        // The load makes a stiff posture less stable and a stiff flange more: both ends count.
+        let loaded = config.clone();
+        (config.robot.load.mass_kg, config.robot.load.com_m) = (0.0, [0.0; 3]);
+        let bare = config.clone();
+        config.plant.gripper = GripperKind::Simulated;
+        let stable = |stiffness: f64, posture: f64| {
+            [&bare, &loaded, &config].map(|config| {
+                let mut parameters = config.parameters();
+                parameters.gains.stiffness.iter_mut().for_each(|k| *k *= stiffness);
+                parameters.gains.posture_stiffness.iter_mut().for_each(|k| *k *= posture);
+                Stability::new(config).is_stable(&parameters, &home)
+            })
+        };
+        assert_eq!(stable(1.0, 1.0), [true, true, true]);
+        assert_eq!(stable(1.0, 69.0), [true, false, false]);
+        assert_eq!(stable(61.0, 1.0), [false, true, false]);
     }
 
     #[test]

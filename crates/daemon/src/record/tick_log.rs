@@ -2,7 +2,7 @@
 //! counted, and a replay reports them. The loop's memory joins once a second, so that the last ticks of a long run
 //! can be run again too.
 
-use crate::control::loop_state::LoopState;
+use crate::control::loop_state::{Beyond, LoopState};
 use crate::control::tick_input::TickInput;
 use moca_lockstep::board_events::NumberedEvent;
 use moca_msgs::board::OpenFailure;
@@ -113,8 +113,9 @@ impl StateRecord {
     pub fn encode(&self) -> Vec<u8> {
         // These types always encode; an empty record would be refused by its reader.
         let mut bytes = postcard::to_stdvec(self).unwrap_or_default();
-        if let Some(flange) = &self.state.motion.flange {
-            bytes.extend(postcard::to_stdvec(flange).unwrap_or_default());
+        let beyond = &self.state.motion.beyond;
+        if *beyond != Beyond::default() {
+            bytes.extend(postcard::to_stdvec(beyond).unwrap_or_default());
         }
         bytes
     }
@@ -126,7 +127,7 @@ impl StateRecord {
     pub fn decode(bytes: &[u8]) -> postcard::Result<Self> {
         let (mut record, behind): (Self, &[u8]) = postcard::take_from_bytes(bytes)?;
         if !behind.is_empty() {
-            record.state.motion.flange = Some(postcard::from_bytes(behind)?);
+            record.state.motion.beyond = postcard::from_bytes(behind)?;
         }
         Ok(record)
     }
@@ -200,7 +201,7 @@ pub(super) mod tests {
     use crate::control::state_check::StateCheck;
     use crate::control::tick_input::Slot;
     use crate::robot::FlangeSensorKind;
-    use moca_msgs::Fault;
+    use moca_msgs::{Fault, Payload};
 
     /// Returns the input of the tick at a number of milliseconds.
     pub(in crate::record) fn input(tick: u64, cover_events: u64) -> TickInput {
@@ -230,17 +231,17 @@ pub(super) mod tests {
     }
 
     #[test]
-    fn state_of_flange_sensor_is_written_behind_all_else() {
+    fn state_that_few_robots_have_is_written_behind_all_else() {
         let mut record = StateRecord { number: 1, tick: 2, time_ns: 3, cover_events: 4, state: state() };
         let without = record.encode();
-        assert!(StateRecord::decode(&without).unwrap().state.motion.flange.is_none());
+        assert_eq!(StateRecord::decode(&without).unwrap().state.motion.beyond, Beyond::default());
         let mut config = Config::default();
         config.plant.flange_sensor = FlangeSensorKind::Simulated;
-        let flange = motion(&config).unwrap().state().flange;
-        record.state.motion.flange = flange;
+        let flange = motion(&config).unwrap().state().beyond.flange;
+        record.state.motion.beyond = Beyond { flange, object: Some(Payload::NONE.inertial) };
         let with = record.encode();
         assert!(with.starts_with(&without) && flange.is_some());
-        assert_eq!(StateRecord::decode(&with).unwrap().state.motion.flange, flange);
+        assert_eq!(StateRecord::decode(&with).unwrap().state.motion.beyond, record.state.motion.beyond);
         assert!(StateRecord::decode(&with[..with.len() - 1]).is_err());
     }
 

@@ -43,6 +43,11 @@ impl<const N: usize, T: Scalar> MomentumObserver<N, T> {
         Self { integral: [T::zero(); N], residual: [T::zero(); N], started: false }
     }
 
+    /// Keeps the estimate where the model changes: the next momentum is taken as that of the same motion with other masses.
+    pub const fn change_model(&mut self) {
+        self.started = false;
+    }
+
     /// One step: momentum and Cᵀq̇ now (see [`crate::model::Dynamics::momentum`] and
     /// [`crate::ArmModel::momentum_drift`]), gravity torques now, and the
     /// joint torques that acted since the last step. Implicit in r: stable for every step.
@@ -53,11 +58,12 @@ impl<const N: usize, T: Scalar> MomentumObserver<N, T> {
         torque: &[T; N],
         dt_s: T,
     ) {
+        let gain = T::one() / of(OBSERVER_LAG_S);
         if !self.started {
-            *self = Self { integral: *momentum, residual: [T::zero(); N], started: true };
+            self.integral = core::array::from_fn(|i| momentum[i] - self.residual[i] / gain);
+            self.started = true;
             return;
         }
-        let gain = T::one() / of(OBSERVER_LAG_S);
         for i in 0..N {
             let predicted = self.integral[i] + dt_s * (torque[i] + drift[i] - gravity[i]);
             self.residual[i] = gain * (momentum[i] - predicted) / (T::one() + gain * dt_s);
@@ -74,5 +80,31 @@ impl<const N: usize, T: Scalar> MomentumObserver<N, T> {
 impl<const N: usize, T: Scalar> Default for MomentumObserver<N, T> {
     fn default() -> Self {
         Self::new()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn other_masses_of_a_moving_arm_are_no_push() {
+        let mut observer = MomentumObserver::<1, f64>::new();
+        let step = |observer: &mut MomentumObserver<1, f64>, momentum: f64| {
+            observer.update(&([momentum], [0.0]), &[0.0], &[0.0], 1e-3);
+            observer.external_torque()[0]
+        };
+        for tick in 0..200 {
+            step(&mut observer, 3.0 * 1e-3 * f64::from(tick));
+        }
+        let before = observer.external_torque()[0];
+        observer.change_model();
+        // The load doubles the momentum; the push goes on.
+        let momentum = |tick: i32| 2.0 * 3.0 * 1e-3 * 199.0 + 3.0 * 1e-3 * f64::from(tick);
+        assert_eq!(step(&mut observer, momentum(1)).to_bits(), before.to_bits());
+        for tick in 2..400 {
+            let external_nm = step(&mut observer, momentum(tick));
+            assert!((external_nm - 3.0).abs() < 1e-3, "tick {tick}: {external_nm}");
+        }
     }
 }

@@ -4,7 +4,7 @@ use super::arm_state::ArmState;
 use super::joint_pace::{HELD_SHARE, JointLimits, LED_SHARE, braking_torque};
 use super::law::ControlLaw;
 use super::lead::Target;
-use super::tick::{ArmTick, Tracking, seen_from_base, tool_pose};
+use super::tick::{ArmTick, HeldObject, Tracking, seen_from_base, tool_pose};
 use super::{CARRY_FADE_S, FlangePose, LONGEST_STEP_S, check};
 use crate::error::{ControlError, finite};
 use crate::gains::ArmGains;
@@ -19,6 +19,7 @@ use crate::rotation;
 use crate::scalar::{Scalar, of};
 use crate::self_collision::{SelfCollision, Separation};
 use crate::state_check::{check_robot, check_step, check_wrench};
+use moca_msgs::robot::LinkInertial;
 use moca_msgs::{ArmTable, Mount, ParameterError, Parameters, Payload, RobotState};
 use nalgebra::Vector3;
 
@@ -59,6 +60,8 @@ pub struct ArmController<const N: usize, T = f64> {
     period_s: T,
     /// Guard against self-collision; without one no bit of a command changes.
     self_collision: Option<SelfCollision<N, T>>,
+    /// Object in the model that the arm's own controller does not know of.
+    object: Option<HeldObject<T>>,
 }
 
 /// One step's measurements of an arm.
@@ -77,7 +80,7 @@ pub struct ArmInput<const N: usize, T = f64> {
 pub struct ArmOutput<const N: usize, T = f64> {
     /// Joint torques including gravity compensation, N·m, inside every limit.
     pub torque_nm: [T; N],
-    /// Share of gravity in them, N·m.
+    /// Share of gravity in them, N·m, without that of an object which is held ([`ArmController::carrying`]).
     pub gravity_nm: [T; N],
     /// External wrench: on the robot about the flange origin, world axes \[N; N·m\].
     pub flange_wrench_world: [T; 6],
@@ -114,6 +117,27 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             hold_stiffness: arm.torque_max_nm.map(|most| of(2.0 * most)),
             period_s: of(parameters.limits.period_s),
             self_collision: None,
+            object: None,
+        })
+    }
+
+    /// Returns the controller of the same arm with `object` in its hand, beside tool and load; one without mass is none. The laws
+    /// carry it from the next step on; [`ArmState::change_model`] tells a state of it. The arm's own controller knows nothing of it, so [`ArmOutput::gravity_nm`] is without it.
+    ///
+    /// # Errors
+    /// As for [`Self::new`], of which the tables are.
+    pub fn carrying(
+        &self,
+        arm: &ArmTable<N>,
+        mount: &Mount,
+        payload: &Payload,
+        object: &LinkInertial,
+    ) -> Result<Self, ParameterError> {
+        let loaded = Payload { inertial: payload.inertial.with(object), ..*payload };
+        Ok(Self {
+            model: ArmModel::new(arm, mount, &loaded)?,
+            object: HeldObject::new(object, payload),
+            ..*self
         })
     }
 
@@ -232,7 +256,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             let torque_nm = self.limited(tick, arm, next, &wanted, &[T::zero(); N], &mut hit)?;
             Ok(ArmOutput {
                 torque_nm,
-                gravity_nm: tick.dynamics.gravity(),
+                gravity_nm: tick.gravity_without_object(),
                 flange_wrench_world,
                 flange: (&tick.flange).into(),
                 flange_desired: (&tick.desired(next)).into(),
@@ -281,6 +305,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             dynamics: &dynamics,
             flange: tool_pose(&dynamics.kinematics, robot),
             near,
+            object: self.object.as_ref(),
             period_s: self.period_s,
         })
     }
@@ -486,6 +511,11 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
     /// Estimated external joint torques of the momentum observer, N·m, on the robot.
     pub fn external_torque_nm(&self) -> &[T; N] {
         self.observer.external_torque()
+    }
+
+    /// Goes on with a controller of other masses ([`ArmController::carrying`]): the change is no push.
+    pub const fn change_model(&mut self) {
+        self.observer.change_model();
     }
 
     /// Starts `law` from the measured state if it is another one than before.

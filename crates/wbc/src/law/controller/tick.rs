@@ -7,13 +7,15 @@ use crate::follow_me;
 use crate::impedance;
 use crate::limits::LimitsHit;
 use crate::linalg::times;
-use crate::model::{ArmModel, Dynamics, Kinematics};
+use crate::model::{ArmModel, Dynamics, GRAVITY_M_S2, Kinematics};
 use crate::momentum_observer::MomentumObserver;
 use crate::opspace::ArmDynamics;
 use crate::reference::{Pose, saturated};
-use crate::scalar::Scalar;
+use crate::rotation;
+use crate::scalar::{Scalar, of};
 use crate::self_collision::Near;
-use moca_msgs::RobotState;
+use moca_msgs::robot::LinkInertial;
+use moca_msgs::{Payload, RobotState};
 use nalgebra::{SMatrix, Vector3};
 
 /// One step's quantities, computed once and read by every law.
@@ -26,8 +28,28 @@ pub(super) struct ArmTick<'a, const N: usize, T> {
     pub flange: Pose<T>,
     /// Parts of the arm that are near to others; `None` for none, or without a guard.
     pub near: Option<&'a Near<N, T>>,
+    /// Object in the model that the arm's own controller does not know of.
+    pub object: Option<&'a HeldObject<T>>,
     /// Nominal control period, s.
     pub period_s: T,
+}
+
+/// An object that the hand holds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct HeldObject<T> {
+    mass_kg: T,
+    /// Centre of mass in the axes of the tool frame E, m.
+    com_tool_m: Vector3<T>,
+}
+
+impl<T: Scalar> HeldObject<T> {
+    /// Object given in the flange's axes; `None` without mass.
+    pub(super) fn new(object: &LinkInertial, payload: &Payload) -> Option<Self> {
+        let [x, y, z, roll, pitch, yaw] = payload.tool_origin;
+        let from_tool = Vector3::from(object.com_m) - Vector3::new(x, y, z);
+        let com_tool_m = rotation::from_rpy([roll, pitch, yaw]).tr_mul(&from_tool).map(of);
+        (object.mass_kg > 0.0).then(|| Self { mass_kg: of(object.mass_kg), com_tool_m })
+    }
 }
 
 /// State of the tool, as a law computes it.
@@ -93,6 +115,20 @@ impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
                 core::array::from_fn(|i| posture[i] + apart[i])
             }
         }
+    }
+
+    /// Gravity torques that the arm's own controller knows of, N·m: without those of the object that is held.
+    #[inline]
+    pub(super) fn gravity_without_object(&self) -> [T; N] {
+        let gravity = self.dynamics.gravity();
+        let Some(object) = self.object else { return gravity };
+        let kinematics = self.kinematics;
+        let com = kinematics.tool_position + kinematics.tool_rotation * object.com_tool_m;
+        let weight = object.mass_kg * of::<T>(GRAVITY_M_S2);
+        core::array::from_fn(|i| {
+            let (axis, origin) = kinematics.joint(i);
+            gravity[i] - weight * axis.cross(&(com - origin)).z
+        })
     }
 
     /// The reference in W.

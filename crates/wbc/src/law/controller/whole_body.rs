@@ -22,6 +22,7 @@ use crate::reference_generator::{ReferenceBounds, Workspace};
 use crate::scalar::{Scalar, of};
 use crate::self_collision::{SelfCollision, Separation};
 use crate::state_check::{check_robot, check_step, check_wrench};
+use moca_msgs::robot::LinkInertial;
 use moca_msgs::{
     ArmTable, Corrections, Mount, ParameterError, Parameters, Payload, RobotCommand, RobotState,
     TaxelPlacement,
@@ -150,6 +151,20 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             eta: eta(parameters),
             corrections: parameters.corrections,
         })
+    }
+
+    /// As [`ArmController::carrying`].
+    ///
+    /// # Errors
+    /// As for [`ArmController::carrying`].
+    pub fn carrying(
+        &self,
+        arm: &ArmTable<N>,
+        mount: &Mount,
+        payload: &Payload,
+        object: &LinkInertial,
+    ) -> Result<Self, ParameterError> {
+        Ok(Self { arm: self.arm.carrying(arm, mount, payload, object)?, ..*self })
     }
 
     /// As [`ArmController::with_self_collision`].
@@ -444,7 +459,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         }
         let arm_torque_nm = self.arm.limited(tick, arm, &mut state.arm, &torque, &coupling, hit)?;
         state.base.velocity_body = base_velocity_body;
-        Ok(RobotCommand { base_velocity_body, arm_torque_nm, arm_gravity_nm: tick.dynamics.gravity() })
+        Ok(RobotCommand { base_velocity_body, arm_torque_nm, arm_gravity_nm: tick.gravity_without_object() })
     }
 }
 
@@ -539,6 +554,11 @@ impl<const N: usize, T: Scalar> ControllerState<N, T> {
     /// As there.
     pub fn lead_base(&mut self, velocity_body: [T; 3]) -> Result<(), ControlError> {
         self.base.lead(velocity_body)
+    }
+
+    /// As [`ArmState::change_model`].
+    pub const fn change_model(&mut self) {
+        self.arm.change_model();
     }
 
     /// Estimated external joint torques of the momentum observer, N·m, on the robot.
