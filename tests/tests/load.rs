@@ -3,6 +3,7 @@
 
 use moca_control::config::{Config, HandConfig};
 use moca_control::load_identification::{Belief, Identified, Measured, Sweeps, identify};
+use moca_control::unknown_load::UnknownLoadWatch;
 use moca_lockstep::LockStep;
 use moca_lockstep::ideal_cover::IdealCover;
 use moca_lockstep::simulated_robot::free_scene;
@@ -50,6 +51,36 @@ fn measured(config: &Config) -> (Measured, f64) {
     }
     assert!(furthest_m < 0.2, "{furthest_m} m");
     (sweeps.measured(&config.robot.tool.origin).unwrap(), fastest_rad_s)
+}
+
+/// Masses that are named in 12 s of a robot at rest, kg.
+fn named(config: &Config) -> Vec<f64> {
+    let mut world = LockStep::with_true_forces(config, &free_scene(config), IdealCover::new(1, 0)).unwrap();
+    let mut watch = UnknownLoadWatch::default();
+    let loads = (0..15_000).filter_map(|_| watch.see(&world.step(None).0));
+    loads.map(|load| load.mass_kg).collect()
+}
+
+#[test]
+fn unknown_load_is_named_and_friction_is_not() {
+    for law in [Law::Impedance, Law::FollowMe] {
+        let with = |tool_mass_kg| {
+            let mut config = config(1);
+            (config.startup.law, config.simulation.truth.arm.mass_scale) = (law, 1.0);
+            (config.simulation.truth.arm.tool_mass_kg, config.simulation.truth.arm.tool_com_m) =
+                (tool_mass_kg, [0.02, -0.01, 0.06]);
+            named(&config)
+        };
+        let (none, one, half) = (with(0.0), with(1.0), with(0.5));
+        println!("{law:?}: {none:?}, 0.5 kg {half:?}, 1 kg {one:?}");
+        assert!(none.is_empty(), "{law:?}: friction of 1 N·m and noise of 0.3 N·m");
+        for (named, mass_kg) in [(one, 1.0), (half, 0.5)] {
+            assert!(
+                named.len() == 1 && (named[0] - mass_kg).abs() < 0.25,
+                "{law:?}: {mass_kg} kg is {named:?}"
+            );
+        }
+    }
 }
 
 #[test]

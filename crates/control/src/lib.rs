@@ -29,3 +29,4 @@ pub mod tick;
 pub mod tick_input;
 pub mod uncalibrated;
 pub mod uncovered;
+pub mod unknown_load;

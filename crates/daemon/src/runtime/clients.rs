@@ -3,6 +3,7 @@
 use crate::config::live::changed;
 use crate::config::stability::Stability;
 use crate::config::{AUTO_FOLDER, Config};
+use crate::control::unknown_load::UnknownLoadWatch;
 use crate::inject::{self, Disk, Strike};
 use crate::record::flight_recorder::{FlightRecorder, access_folder};
 use crate::record::recording::{Recording, parameter_change};
@@ -223,6 +224,7 @@ pub(crate) struct Clients {
     panics: bool,
     flight: Option<FlightRecorder>,
     ticks: TickLogReader,
+    unknown_load: UnknownLoadWatch,
     /// Messages of a real robot's drivers.
     drivers: (DriverWords, SaidByDrivers),
     /// Sender of notices about the disk to dashboards.
@@ -242,8 +244,19 @@ impl Clients {
         let flight = if options.lock_step { None } else { flight_recorder(&options.config, reporter)? };
         let panics = options.outside_fault() == Some(OutsideFault::Panic);
         let (drivers, asked) = (DriverWords::channel(), sync_channel(ASKED_MAX));
-        let notices = None;
-        Ok(Self { strike, recording, panics, flight, ticks, drivers, notices, asked, now_ns: 0 })
+        let (unknown_load, notices) = (UnknownLoadWatch::default(), None);
+        Ok(Self {
+            strike,
+            recording,
+            panics,
+            flight,
+            ticks,
+            unknown_load,
+            drivers,
+            notices,
+            asked,
+            now_ns: 0,
+        })
     }
 
     /// Returns the place for what clients of telemetry ask.
@@ -273,6 +286,9 @@ impl Clients {
         }
         self.take_ticks(reporter);
         self.now_ns = sample.time_ns;
+        if let Some(load) = self.unknown_load.see(sample) {
+            self.say(sample.time_ns, load.to_string(), reporter);
+        }
         self.take_asked();
         if let Some(recording) = &mut self.recording {
             recording.add(sample);
@@ -306,12 +322,17 @@ impl Clients {
     /// Passes on what the drivers have said.
     fn take_words(&mut self, time_ns: u64, reporter: &mut dyn Reporter) {
         while let Some(words) = self.drivers.1.next() {
-            reporter.report(Notice::Driver(&words));
-            if let Some(recording) = &mut self.recording {
-                recording.add_words(time_ns, &words);
-            }
-            self.show(words);
+            self.say(time_ns, words, reporter);
         }
+    }
+
+    /// Says `words` of the robot on the terminal, in the log and in dashboards.
+    fn say(&mut self, time_ns: u64, words: String, reporter: &mut dyn Reporter) {
+        reporter.report(Notice::Driver(&words));
+        if let Some(recording) = &mut self.recording {
+            recording.add_words(time_ns, &words);
+        }
+        self.show(words);
     }
 
     /// Passes on what has been noted since the last call.
