@@ -58,6 +58,7 @@ pub(super) fn gripper_json(state: &GripperState) -> Value {
         "holding": state.is_holding(),
         "width_m": state.width_m,
         "width_max_m": state.width_max_m,
+        "object_kg": state.object_kg,
         "fault": state.fault.map(|fault| json!({ "code": fault.code(), "text": fault.to_string() })),
     })
 }
