@@ -1,7 +1,7 @@
 //! A load at the flange that nobody told, named from the drift of the momentum observer. Pure, and outside the loop: it changes no
 //! command.
 //!
-//! What the arm carries beside its model pulls at the flange with a force that stays and points down. A person's hand can do the
+//! A load beside the model pulls at the flange with a force that stays and points down. A person's hand can do the
 //! same for some seconds, and a wrong arm model for ever, so the mass is said to be about right and nothing follows from it.
 
 use moca_msgs::Sample;
