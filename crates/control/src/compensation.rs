@@ -4,7 +4,7 @@
 //! for a load b and commanded against. While the arm is held, and in the first second, b follows r: that is its zero, and nobody may
 //! push the flange then.
 //! While a law moves the arm, b follows with `time_s` and stays within `bound_nm` of that zero. Where r is off b by more than
-//! `push_nm` in any joint, somebody pushes: b then follows `PUSHED_SHARE` as fast. So a quick push meets the spring of the
+//! `push_nm` in any joint, less its known friction, somebody pushes: b then follows `PUSHED_SHARE` as fast. So a quick push meets the spring of the
 //! impedance law, and a steady one takes at most `bound_nm` from each joint, whatever its force and length. docs/math.md has the proof.
 //!
 //! Friction turns round with the speed of a joint, faster than b follows. What is known of it is commanded against at once, and taken
@@ -29,6 +29,9 @@ const LARGEST_NM: f64 = 20.0;
 /// Share of its speed with which a load is followed while somebody pushes.
 const PUSHED_SHARE: f64 = 0.01;
 
+/// Smallest deviation that counts as a push, N·m, where the known friction leaves less of `push_nm`: noise of the torques is below it.
+const LEAST_PUSH_NM: f64 = 0.5;
+
 /// Speed of a joint at which 0.7 of its friction is compensated, rad/s. A larger one leaves more of the friction; a smaller one
 /// turns noise of the speed into torque.
 const SMOOTHING_RAD_S: f64 = 0.01;
@@ -41,7 +44,8 @@ pub struct Compensation {
     time_s: f64,
     /// Known friction of each joint, N·m.
     friction_nm: [f64; JOINTS],
-    push_nm: f64,
+    /// Deviation of each joint that counts as a push, N·m.
+    push_nm: [f64; JOINTS],
     bound_nm: f64,
     torque_max_nm: [f64; JOINTS],
     torque_rate_nm_s: f64,
@@ -67,11 +71,14 @@ impl Compensation {
     pub fn new(config: &Config, parameters: &Parameters<JOINTS>) -> Option<Self> {
         let of = &config.control.compensation;
         let is_on = of.time_s > 0.0 || of.friction_nm.iter().any(|friction_nm| *friction_nm > 0.0);
+        let friction_nm: [f64; JOINTS] =
+            std::array::from_fn(|i| of.friction_nm.get(i).copied().unwrap_or(0.0));
         (is_on && config.plant.parts.has_arm()).then(|| Self {
             joints: config.arm().joints,
             time_s: of.time_s,
-            friction_nm: std::array::from_fn(|i| of.friction_nm.get(i).copied().unwrap_or(0.0)),
-            push_nm: of.push_nm,
+            friction_nm,
+            // Friction that turns round changes r by twice itself, and by what is known of it less.
+            push_nm: friction_nm.map(|friction_nm| (of.push_nm - friction_nm).max(LEAST_PUSH_NM)),
             bound_nm: of.bound_nm,
             torque_max_nm: parameters.limits.torque_nm,
             torque_rate_nm_s: parameters.limits.torque_rate_nm_s,
@@ -148,7 +155,7 @@ impl Compensation {
         let state = &mut self.state;
         let is_held = law == ControlLaw::Hold || state.taken_in_s < FIRST_S;
         state.taken_in_s = (state.taken_in_s + dt_s).min(FIRST_S);
-        let is_pushed = (0..self.joints).any(|i| (external_nm[i] - state.load_nm[i]).abs() > self.push_nm);
+        let is_pushed = (0..self.joints).any(|i| (external_nm[i] - state.load_nm[i]).abs() > self.push_nm[i]);
         let per_s = match (is_held, is_pushed) {
             (true, _) => 1.0 / HELD_S,
             (false, true) => PUSHED_SHARE / self.time_s,
@@ -244,6 +251,23 @@ mod tests {
         run(&mut load, ControlLaw::Impedance, 2.0, 0.5);
         let share = load.load_nm()[0] / 2.0;
         assert!((share - (1.0 - (-1.0_f64).exp())).abs() < 0.01, "{share}");
+    }
+
+    #[test]
+    fn push_begins_where_known_friction_ends() {
+        // 2.2 N·m of a joint whose friction is not known, 1.4 where 0.8 are; 0.5 where nothing would be left
+        for (known_nm, least_nm) in [(0.0, 2.2), (0.8, 1.4), (9.0, 0.5)] {
+            for (push_nm, follows) in [(least_nm - 0.01, true), (least_nm + 0.01, false)] {
+                let mut config = Config::default();
+                config.control.compensation.time_s = 0.5;
+                config.control.compensation.friction_nm = vec![known_nm; 7];
+                let mut load = Compensation::new(&config, &config.parameters()).unwrap();
+                run(&mut load, ControlLaw::Hold, 0.0, 1.1);
+                run(&mut load, ControlLaw::Impedance, push_nm, 0.01);
+                let share = load.load_nm()[0] / push_nm;
+                assert_eq!(share > 0.01, follows, "{push_nm} N·m where {known_nm} are known: {share}");
+            }
+        }
     }
 
     #[test]

@@ -45,7 +45,7 @@ fn law_entered_at_rest_gives_gravity_torques() {
 }
 
 #[test]
-fn held_object_is_carried_like_a_load_that_the_arm_does_not_know() {
+fn held_object_is_carried_like_a_load_and_is_no_own_gravity() {
     let object = LinkInertial { mass_kg: 1.5, com_m: [0.01, -0.02, 0.11], ..Payload::NONE.inertial };
     let tool_origin = [0.02, 0.0, 0.1, 0.3, -0.2, 0.5];
     let tool = Payload {

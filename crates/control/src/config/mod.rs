@@ -120,8 +120,9 @@ parameter_table! {
     pub struct CompensationConfig in "control.compensation" {
         /// Time constant with which a load is learnt while the arm moves, at least 0.1; 0 compensates nothing.
         time_s: f64 = 0.0 => [.range(0.0, 10.0).units(&["s"]).lab("compensation.time")];
-        /// Deviation of a joint's torque from its load that counts as a person's push.
-        push_nm: f64 = 2.5 => [.range(0.5, 50.0).units(&["N·m"]).lab("compensation.push")];
+        /// Deviation of a joint's torque from its load that counts as a person's push: more than twice the friction of a joint. Known
+        /// friction makes it smaller by as much.
+        push_nm: f64 = 2.2 => [.range(0.5, 50.0).units(&["N·m"]).lab("compensation.push")];
         /// Largest change of a joint's load since the arm was held: what a steady push can wind up.
         bound_nm: f64 = 4.0 => [.range(0.0, 20.0).units(&["N·m"]).lab("compensation.bound")];
         /// Friction of each joint that is compensated at once, joint 1 first: at most what has been measured, or the arm hunts
