@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import os
 import time
-from typing import Any, Iterator, Sequence
+from typing import Any, Iterator, NamedTuple, Sequence
 
 import numpy as np
 
@@ -29,6 +29,8 @@ from moca._sweep import assignments as _assignments
 
 __all__ = [
     "Disconnected",
+    "Gripper",
+    "GripperState",
     "Log",
     "Protection",
     "Refused",
@@ -104,6 +106,12 @@ class State:
         """Kind and phase of the last target: ("pose", "moving")."""
         return self._state.target
 
+    @property
+    def gripper(self) -> GripperState | None:
+        """The gripper; None without one."""
+        gripper = self._state.gripper
+        return None if gripper is None else GripperState(*gripper)
+
     def __repr__(self) -> str:
         return f"<moca.State tick {self.tick}, {self.mode}>"
 
@@ -111,6 +119,76 @@ class State:
 _FIELDS = dict(_State.fields())
 _SCALARS = {name for name, single in _FIELDS.items() if single}
 _WORDS = _Log.word_fields()
+
+
+class GripperState(NamedTuple):
+    """State of a gripper at one tick."""
+
+    width_m: float
+    """Distance between the fingers, m."""
+    width_max_m: float
+    """Largest distance between them, m."""
+    phase: str
+    """Activity: "resting", "moving", "holding", or "unknown" where it does not answer."""
+    holds: bool
+    """True if an object of the width that was asked for is held."""
+    object_kg: float
+    """Mass of the held object as the grasp told it, kg; 0 where nothing is held or nothing was told."""
+    fault: str | None
+    """Fault since the last request, with its remedy. None of them stops arm or base."""
+
+
+class Gripper:
+    """Two fingers on the flange, in every mode. The latest request counts: it ends the one before.
+
+    A call returns when the fingers rest. On a `Robot` other threads run meanwhile, and may lead the arm. A `Sim` steps,
+    with the targets that it has. With `wait=False` a call returns when the request has begun, on a `Sim` after one tick.
+
+    An interrupted call, by Ctrl-C for example, stops the fingers. Only `release`, `home` and a wider `move` let an object go.
+    A request that is refused raises `Refused`, and so does one that a fault ended. `grasp` returns False for an object
+    that it did not get.
+    """
+
+    def __init__(self, inner: Any) -> None:
+        self._inner = inner
+
+    @property
+    def state(self) -> GripperState:
+        """The newest state."""
+        return GripperState(*self._inner.gripper_state())
+
+    def home(self, *, wait: bool = True) -> None:
+        """Opens, closes and opens the fingers to find their range. It lets an object go."""
+        self._inner.gripper("home", [], wait)
+
+    def move(self, width_m: float, speed_m_s: float = 0.05, *, wait: bool = True) -> None:
+        """Moves the fingers to a width, m. A larger one than the object's lets it go."""
+        self._inner.gripper("move", [width_m, speed_m_s], wait)
+
+    def grasp(
+        self,
+        width_m: float,
+        speed_m_s: float = 0.05,
+        force_n: float = 40.0,
+        tolerance_m: float = 0.005,
+        mass_kg: float = 0.0,
+        *,
+        wait: bool = True,
+    ) -> bool:
+        """Closes the fingers on an object of this width, and returns True if it is held when the call returns.
+
+        `tolerance_m` is the largest difference between `width_m` and the object's width. The arm carries `mass_kg` from the
+        moment in which the object is held; 0 tells it nothing. `state.fault` says why nothing is held.
+        """
+        return self._inner.gripper("grasp", [width_m, speed_m_s, force_n, tolerance_m, mass_kg], wait)
+
+    def release(self, *, wait: bool = True) -> None:
+        """Opens the fingers as far as they go."""
+        self._inner.gripper("release", [], wait)
+
+    def stop(self) -> None:
+        """Stops the fingers. An object that is held stays held."""
+        self._inner.gripper("stop", [], True)
 
 
 class _Commanded:
@@ -186,6 +264,11 @@ class _Commanded:
             raise ValueError(f"taxel {taxel}: allowed: 1 (T1) to the number of taxels")
         return self._result(self._inner.press(taxel - 1, float(force)))
 
+    @property
+    def gripper(self) -> Gripper:
+        """The gripper on the flange."""
+        return Gripper(self._inner)
+
     def _request(self, name: str) -> Any:
         return self._result(self._inner.request(name))
 
@@ -253,7 +336,7 @@ class Sim(_Commanded):
     """A simulated robot in lock-step, deterministic: board bytes, law and plant as in `mocad`.
 
     `config` is the path of a file, a text of TOML, or nothing for the built-in one. Every request takes a tick and
-    gives its state.
+    gives its state. Those of `gripper` step until the fingers rest, and give what a robot's give.
     """
 
     def __init__(self, config: str | os.PathLike[str] | None = None, *, seed: int | None = None) -> None:

@@ -1,5 +1,5 @@
 import os
-from typing import Any, Iterator, Mapping, Sequence
+from typing import Any, Iterator, Mapping, NamedTuple, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,6 +11,8 @@ from moca._sweep import experiment as experiment
 
 __all__ = [
     "Disconnected",
+    "Gripper",
+    "GripperState",
     "Log",
     "Protection",
     "Refused",
@@ -34,6 +36,8 @@ class State:
     time_s: float
     speed_limit_m_s: float
     target_progress: float
+    gripper_width_m: float
+    gripper_object_kg: float
     taxel_force_n: NDArray[np.float64]
     base_pose_world: NDArray[np.float64]
     base_velocity_world: NDArray[np.float64]
@@ -64,6 +68,34 @@ class State:
     def fault(self) -> str | None: ...
     @property
     def target(self) -> tuple[str, str] | None: ...
+    @property
+    def gripper(self) -> GripperState | None: ...
+
+class GripperState(NamedTuple):
+    width_m: float
+    width_max_m: float
+    phase: str
+    holds: bool
+    object_kg: float
+    fault: str | None
+
+class Gripper:
+    @property
+    def state(self) -> GripperState: ...
+    def home(self, *, wait: bool = True) -> None: ...
+    def move(self, width_m: float, speed_m_s: float = 0.05, *, wait: bool = True) -> None: ...
+    def grasp(
+        self,
+        width_m: float,
+        speed_m_s: float = 0.05,
+        force_n: float = 40.0,
+        tolerance_m: float = 0.005,
+        mass_kg: float = 0.0,
+        *,
+        wait: bool = True,
+    ) -> bool: ...
+    def release(self, *, wait: bool = True) -> None: ...
+    def stop(self) -> None: ...
 
 class Robot:
     @property
@@ -98,6 +130,8 @@ class Robot:
         self, times: ArrayLike, positions: ArrayLike, quaternions: ArrayLike, *, touch: str = "wins"
     ) -> None: ...
     def press(self, taxel: int, force: float) -> None: ...
+    @property
+    def gripper(self) -> Gripper: ...
 
 class Sim:
     def __init__(self, config: str | os.PathLike[str] | None = None, *, seed: int | None = None) -> None: ...
@@ -124,11 +158,15 @@ class Sim:
         self, times: ArrayLike, positions: ArrayLike, quaternions: ArrayLike, *, touch: str = "wins"
     ) -> State: ...
     def press(self, taxel: int, force: float) -> State: ...
+    @property
+    def gripper(self) -> Gripper: ...
 
 class States:
     time_s: NDArray[np.float64]
     speed_limit_m_s: NDArray[np.float64]
     target_progress: NDArray[np.float64]
+    gripper_width_m: NDArray[np.float64]
+    gripper_object_kg: NDArray[np.float64]
     taxel_force_n: NDArray[np.float64]
     base_pose_world: NDArray[np.float64]
     base_velocity_world: NDArray[np.float64]

@@ -1,9 +1,10 @@
 //! A running daemon. Only a call of the program's own is a sign of life: a program that hangs loses the command.
 
+use crate::gripper;
 use crate::request::{answered, plain, policy, press, target, waypoints};
 use crate::state::State;
 use crate::{Disconnected, Refused};
-use moca_msgs::{Outcome, Request, Sample};
+use moca_msgs::{GripperPhase, GripperRequest, GripperState, Outcome, Request, Sample};
 use moca_telemetry::net::client::stop_blocking;
 use moca_telemetry::net::{Address, Connection, Link, Reply};
 use moca_telemetry::{ParameterValue, RobotDescription};
@@ -52,6 +53,8 @@ struct Heard {
     description: Arc<RobotDescription>,
     samples: VecDeque<Sample>,
     replies: VecDeque<Reply>,
+    /// Tick of the newest sample, which may have been read already, and its gripper; `None` before the first.
+    newest: Option<(u64, Option<GripperState>)>,
 }
 
 #[pymethods]
@@ -70,8 +73,8 @@ impl Client {
             }
             match connection.poll().link {
                 Link::Up { description, .. } => {
-                    let (samples, replies) = Default::default();
-                    let heard = Mutex::new(Heard { description, samples, replies });
+                    let (samples, replies, newest) = Default::default();
+                    let heard = Mutex::new(Heard { description, samples, replies, newest });
                     let (connection, commanded) = (Mutex::new(Some(Arc::new(connection))), false.into());
                     return Ok(Self { connection, heard, commanded });
                 }
@@ -161,6 +164,23 @@ impl Client {
         self.obey(py, press(taxel, force_n, count)?)
     }
 
+    /// Asks the gripper, and waits until its fingers rest, or only until they begin if `wait` is false. Returns true if an object is
+    /// held. A signal stops the fingers.
+    fn gripper(&self, py: Python<'_>, name: &str, values: Vec<f64>, wait: bool) -> PyResult<bool> {
+        let asked = gripper::request(name, &values)?;
+        let state = self.move_fingers(py, asked, wait).inspect_err(|error| {
+            if !(error.is_instance_of::<Refused>(py) || error.is_instance_of::<Disconnected>(py)) {
+                // The signal is what the caller hears of.
+                let _ = self.move_fingers(py, GripperRequest::Stop, true);
+            }
+        })?;
+        gripper::held(asked, &state)
+    }
+
+    fn gripper_state(&self, py: Python<'_>) -> PyResult<gripper::Fields> {
+        Ok(gripper::fields(&self.fingers(py, |_| true)?))
+    }
+
     /// Gives the command back.
     fn release(&self) -> PyResult<()> {
         self.connection()?.release();
@@ -203,7 +223,37 @@ impl Client {
 
     fn ask(&self, py: Python<'_>, request: Request) -> PyResult<Outcome> {
         self.connection()?.request(request);
-        Ok(self.answer(py, |asked| *asked == request)?.outcome)
+        // NaN is not equal to itself: a request that carries it is known by its text.
+        let text = format!("{request:?}");
+        Ok(self.answer(py, |asked| *asked == request || format!("{asked:?}") == text)?.outcome)
+    }
+
+    /// Asks the gripper. Returns its state once the fingers rest, or once they have begun if `wait` is false.
+    fn move_fingers(&self, py: Python<'_>, asked: GripperRequest, wait: bool) -> PyResult<GripperState> {
+        let before = self.fingers(py, |_| true)?.requests;
+        self.obey(py, Request::Gripper(asked))?;
+        // Samples from before the answer may come after it.
+        let begun = |state: &GripperState| state.requests != before || state.phase == GripperPhase::Unknown;
+        self.fingers(py, |state| begun(state) && !(wait && gripper::moves(state)))
+    }
+
+    /// Waits for a report of the gripper that is wanted, as long as the daemon sends anything.
+    fn fingers(&self, py: Python<'_>, is_wanted: impl Fn(&GripperState) -> bool) -> PyResult<GripperState> {
+        let (mut tick, mut until) = (None, Instant::now() + PATIENCE);
+        loop {
+            let newest = self.poll()?.newest;
+            if let Some((_, state)) = newest {
+                let state = state.ok_or_else(gripper::missing)?;
+                if is_wanted(&state) {
+                    return Ok(state);
+                }
+            }
+            let newest_tick = newest.map(|(tick, _)| tick);
+            if newest_tick != tick {
+                (tick, until) = (newest_tick, Instant::now() + PATIENCE);
+            }
+            self.wait(py, until, "the daemon sends nothing new")?;
+        }
     }
 
     fn obey(&self, py: Python<'_>, request: Request) -> PyResult<()> {
@@ -245,6 +295,8 @@ impl Client {
             Link::Up { description, .. } => heard.description = description,
             Link::Down { reason } => return Err(Disconnected::new_err(reason)),
         }
+        let newest = update.samples.last().map(|sample| (sample.tick, sample.gripper));
+        heard.newest = newest.or(heard.newest);
         heard.samples.extend(update.samples);
         let excess = heard.samples.len().saturating_sub(10_000);
         heard.samples.drain(..excess);

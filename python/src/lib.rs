@@ -2,6 +2,7 @@
 
 mod batch;
 mod client;
+mod gripper;
 mod log;
 mod request;
 mod simulation;

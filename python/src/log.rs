@@ -1,7 +1,7 @@
 //! A log as columns, read when they are asked for.
 
 use crate::state::{NumberField, bytes, field as known, fields, no_field};
-use moca_msgs::{Fault, Mode, Sample};
+use moca_msgs::{Fault, GripperFault, Mode, Sample};
 use moca_telemetry::log::records::{Channel, Command};
 use moca_telemetry::log::{LogError, LogFile};
 use pyo3::exceptions::{PyKeyError, PyValueError};
@@ -20,7 +20,7 @@ struct Words {
     of: fn(&Sample) -> &'static str,
 }
 
-const WORDS: [Words; 3] = [
+const WORDS: [Words; 5] = [
     Words { name: "mode", topic: "", of: |sample| sample.mode.name() },
     Words {
         name: "law",
@@ -28,6 +28,16 @@ const WORDS: [Words; 3] = [
         of: |sample| sample.law.map_or("", |law| Mode::from(law).name()),
     },
     Words { name: "fault_code", topic: "", of: |sample| sample.fault.map_or("", Fault::code) },
+    Words {
+        name: "gripper_phase",
+        topic: "",
+        of: |sample| sample.gripper.map_or("", |gripper| gripper.phase.name()),
+    },
+    Words {
+        name: "gripper_fault_code",
+        topic: "",
+        of: |sample| sample.gripper.and_then(|gripper| gripper.fault).map_or("", GripperFault::code),
+    },
 ];
 
 #[pyclass(frozen, module = "moca._moca")]

@@ -109,7 +109,7 @@ pub(crate) fn counted(count: usize, what: &str, most: usize) -> PyErr {
     PyValueError::new_err(format!("{count} {what}: allowed: 1 to {most}"))
 }
 
-fn exactly<const N: usize>(values: &[f64], what: &str) -> PyResult<[f64; N]> {
+pub(crate) fn exactly<const N: usize>(values: &[f64], what: &str) -> PyResult<[f64; N]> {
     let wrong = |_| PyValueError::new_err(format!("{} numbers for {what}: {N} are needed", values.len()));
     values.try_into().map_err(wrong)
 }

@@ -1,10 +1,11 @@
 //! A simulated robot in lock-step: bytes, law and plant as in `mocad --as-fast-as-possible`.
 
+use crate::gripper;
 use crate::request::{answered, counted, plain, policy, press, target, waypoints};
 use crate::state::State;
 use crate::world::{World, configuration};
 use moca_msgs::target::MAX_WAYPOINTS;
-use moca_msgs::{Refusal, Request};
+use moca_msgs::{GripperRequest, GripperState, Refusal, Request};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::path::PathBuf;
@@ -89,11 +90,43 @@ impl Simulation {
     fn press(&mut self, taxel: u8, force_n: f64) -> PyResult<State> {
         self.ask(press(taxel, force_n, self.taxels)?)
     }
+
+    /// Asks the gripper, and steps until its fingers rest, or one tick if `wait` is false. Returns true if an object is held.
+    fn gripper(&mut self, py: Python<'_>, name: &str, values: Vec<f64>, wait: bool) -> PyResult<bool> {
+        let asked = gripper::request(name, &values)?;
+        let begun = self.ask(Request::Gripper(asked))?.0.gripper.ok_or_else(gripper::missing)?;
+        let state = if wait { self.rest(py, begun)? } else { begun };
+        gripper::held(asked, &state)
+    }
+
+    fn gripper_state(&mut self) -> PyResult<gripper::Fields> {
+        self.world().gripper().as_ref().map(gripper::fields).ok_or_else(gripper::missing)
+    }
 }
 
 impl Simulation {
     fn world(&mut self) -> &mut World {
         self.world.get_mut().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Steps until the fingers, which `state` is of, rest. A signal stops them.
+    fn rest(&mut self, py: Python<'_>, mut state: GripperState) -> PyResult<GripperState> {
+        while gripper::moves(&state) {
+            py.check_signals().inspect_err(|_| {
+                // The signal is what the caller hears of.
+                let _ = self.ask(Request::Gripper(GripperRequest::Stop));
+            })?;
+            let world = self.world();
+            py.detach(|| {
+                for _ in 0..SIGNALS_EVERY {
+                    if !gripper::moves(&state) {
+                        break;
+                    }
+                    state = world.tick(None).sample.gripper.unwrap_or_default();
+                }
+            });
+        }
+        Ok(state)
     }
 
     /// A request takes a tick.

@@ -1,5 +1,6 @@
 //! A sample, as bytes of doubles under the names of its fields.
 
+use crate::gripper;
 use moca_msgs::{
     ContactReaction, Law, STAGES, Sample, SpeedLimit, TaxelReading, TaxelStatus, sample_table, seconds,
 };
@@ -29,7 +30,7 @@ pub(crate) struct NumberField {
 }
 
 /// Numbers that no field of a sample has as they are. Stale or dead is not zero: what is not known is no number.
-const MADE: [NumberField; 4] = [
+const MADE: [NumberField; 6] = [
     NumberField { name: "time_s", single: true, topic: "", of: |sample| vec![seconds(sample.time_ns)] },
     NumberField {
         name: "speed_limit_m_s",
@@ -42,6 +43,18 @@ const MADE: [NumberField; 4] = [
         single: true,
         topic: "",
         of: |sample| vec![sample.target.map_or(f64::NAN, |target| target.progress)],
+    },
+    NumberField {
+        name: "gripper_width_m",
+        single: true,
+        topic: "",
+        of: |sample| vec![sample.gripper.map_or(f64::NAN, |gripper| gripper.width_m)],
+    },
+    NumberField {
+        name: "gripper_object_kg",
+        single: true,
+        topic: "",
+        of: |sample| vec![sample.gripper.map_or(f64::NAN, |gripper| gripper.object_kg)],
     },
     NumberField {
         name: "taxel_force_n",
@@ -190,5 +203,11 @@ impl State {
     #[getter]
     fn target(&self) -> Option<(&'static str, &'static str)> {
         self.0.target.map(|target| (target.kind.name(), target.phase.name()))
+    }
+
+    /// The gripper; `None` without one.
+    #[getter]
+    fn gripper(&self) -> Option<gripper::Fields> {
+        self.0.gripper.as_ref().map(gripper::fields)
     }
 }

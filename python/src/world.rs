@@ -2,13 +2,14 @@
 
 use anyhow::{Result, ensure};
 use moca_control::config::Config;
+use moca_control::plant::Plant;
 use moca_control::tick::Ticked;
 use moca_experiments::settings::Settings;
 use moca_lockstep::simulated_robot::free_scene;
 use moca_lockstep::touch_board::ByteCover;
 use moca_lockstep::virtual_boards::board_config;
 use moca_lockstep::{LockStep, MemoryBoards, NoCover};
-use moca_msgs::{Law, Request};
+use moca_msgs::{GripperState, Law, Request};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::path::Path;
@@ -40,6 +41,14 @@ impl World {
         match self {
             Self::Covered(world) => world.tick(request),
             Self::Bare(world) => world.tick(request),
+        }
+    }
+
+    /// Returns what the gripper reports now; `None` without one.
+    pub(crate) fn gripper(&mut self) -> Option<GripperState> {
+        match self {
+            Self::Covered(world) => world.control.plant.gripper(),
+            Self::Bare(world) => world.control.plant.gripper(),
         }
     }
 }

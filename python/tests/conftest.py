@@ -2,6 +2,7 @@ import os
 import subprocess
 import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -19,21 +20,28 @@ def mocad():
     return MOCAD
 
 
-@pytest.fixture
-def daemon(mocad, tmp_path):
-    """A live robot without a cover, which no busy machine can stop; it arms nothing by itself."""
-    address = f"unix:{tmp_path}/mocad.sock"
-    config = tmp_path / "mocad.toml"
+@contextmanager
+def running(mocad, folder, more="", arguments=()):
+    """A live robot without a cover, which no busy machine can stop; it arms nothing by itself. Gives address and process."""
+    address = f"unix:{folder}/mocad.sock"
+    config = folder / "mocad.toml"
     config.write_text(
         f'[telemetry]\nlisten = "{address}"\n[startup]\narm = false\n[simulation.hand]\ntaxels = []\n'
-        '[plant]\nparts = "arm"\n'
+        f'[plant]\nparts = "arm"\n{more}'
     )
-    process = subprocess.Popen([mocad, "--config", config], stdout=subprocess.DEVNULL)
+    process = subprocess.Popen([mocad, "--config", config, *arguments], stdout=subprocess.DEVNULL)
     try:
-        yield address
+        yield address, process
     finally:
         process.kill()
         process.wait(60)
+
+
+@pytest.fixture
+def daemon(mocad, tmp_path):
+    """Address of a live robot."""
+    with running(mocad, tmp_path) as (address, _):
+        yield address
 
 
 def wait_for(robot, mode):
