@@ -144,7 +144,7 @@ impl Motion {
         Ok(())
     }
 
-    /// Carries what the gripper holds, a point mass between the fingertips, from this tick on. No gripper holds nothing.
+    /// Carries what the gripper holds, a point mass between the fingertips, from the next command on. No gripper holds nothing.
     pub fn carry(&mut self, gripper: Option<&GripperState>) {
         let held = gripper.filter(|gripper| gripper.object_kg > 0.0);
         let object = held.map(|gripper| LinkInertial {

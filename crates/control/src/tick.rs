@@ -60,8 +60,6 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             Ok(state) => self.state_check.check(state, age, deadlines, elapsed_s),
             Err(fault) => Checked::none(*fault),
         };
-        let gripper = self.plant.gripper();
-        self.motion.carry(gripper.as_ref());
         let flange = self.flange_reading();
         let flange_fault = self.motion.feel_flange(flange, robot.state.as_mut(), elapsed_s).err();
         timer.end(Stage::Read);
@@ -78,6 +76,8 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         if let Some(fault) = refused {
             self.supervisor.stop_for(fault);
         }
+        let gripper = self.plant.gripper();
+        self.motion.carry(gripper.as_ref());
         self.ticked.sample.gripper = gripper;
         timer.end(Stage::Write);
 
