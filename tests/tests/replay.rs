@@ -32,6 +32,9 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::PathBuf;
 
+const GRASP: GripperRequest =
+    GripperRequest::Grasp { width_m: 0.05, speed_m_s: 0.1, force_n: 40.0, tolerance_m: 0.005, mass_kg: 0.5 };
+
 struct Run {
     world: LockStep<ByteCover, MemoryBoards>,
     loop_end: TickLog,
@@ -129,15 +132,8 @@ fn grasp_comes_out_the_same_and_a_changed_one_is_found() {
     config.simulation.truth.object.mass_kg = 0.5;
     let mut run = Run::start(&config);
     assert_eq!(run.run(1500), Mode::Impedance);
-    let grasp = GripperRequest::Grasp {
-        width_m: 0.05,
-        speed_m_s: 0.1,
-        force_n: 40.0,
-        tolerance_m: 0.005,
-        mass_kg: 0.5,
-    };
     let wide = GripperRequest::Move { width_m: 1.0, speed_m_s: 0.1 };
-    for request in [grasp, wide, GripperRequest::Stop, GripperRequest::Release] {
+    for request in [GRASP, wide, GripperRequest::Stop, GripperRequest::Release] {
         run.ask(Request::Gripper(request));
         run.run(700);
     }
@@ -424,6 +420,9 @@ fn the_last_seconds_of_a_long_run_run_again_whatever_stopped_it() {
         ("base-stale", Law::Impedance, false),
     ] {
         let mut config = config();
+        // Held from long before the first state that the log keeps.
+        config.plant.gripper = GripperKind::Simulated;
+        config.simulation.truth.object.mass_kg = 0.5;
         let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR"))
             .join(format!("replayed-flight-{fault}-{}", std::process::id()));
         config.flight_recorder.folder = folder.display().to_string();
@@ -436,6 +435,7 @@ fn the_last_seconds_of_a_long_run_run_again_whatever_stopped_it() {
         run.world.inject(&format!("{fault}@13.4").parse().unwrap(), 5);
         let asked = [
             (1500, set("control.gains.stiffness", &[300.0, 300.0, 300.0, 20.0, 20.0, 20.0])),
+            (1550, Request::Gripper(GRASP)),
             (1600, Request::Disarm),
             (1700, Request::Tare),
             (3000, Request::Arm),
@@ -455,9 +455,10 @@ fn the_last_seconds_of_a_long_run_run_again_whatever_stopped_it() {
         assert_eq!((report.without_sample, report.cut), (0, None), "{fault}");
         let log = read_log(&path).unwrap();
         assert!(
-            log.samples[0].tick > 1700 && log.samples.iter().any(|sample| sample.mode == law.into()),
+            log.samples[0].tick > 2300 && log.samples.iter().any(|sample| sample.mode == law.into()),
             "{fault}"
         );
+        assert!(log.samples.iter().all(|sample| sample.gripper.is_some_and(|hand| hand.object_kg > 0.0)));
         std::fs::remove_dir_all(folder).unwrap();
     }
 }
