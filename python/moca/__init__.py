@@ -290,6 +290,11 @@ class Robot(_Commanded):
         """What the robot is called."""
         return self._inner.name
 
+    def arm(self) -> None:
+        """Hands the robot to its law. One that armed itself (`startup.arm`) moves already, and takes commands."""
+        if self.state.mode not in ("impedance", "follow-me"):
+            self._request("arm")
+
     @property
     def parameters(self) -> dict[str, np.ndarray]:
         """Present values of all parameters that are numbers."""

@@ -38,10 +38,10 @@ def test_box_is_handed_over_while_somebody_leans(mocad, tmp_path):
             break
     assert code == 0, words
     assert "Somebody takes the box." in words
-    held = log.gripper_object_kg > 0
-    height_m = log.flange_position_world[held, 2]
+    held = log["gripper_object_kg"] > 0
+    height_m = log["flange_position_world"][held, 2]
     assert height_m.min() < 0.92 and height_m.max() > 1.04
-    assert log.flange_position_world[held, 1][-1] == pytest.approx(-0.3, abs=0.02)
-    assert (log.taxel_force_n[held].max(axis=1) > 10.0).mean() > 0.5, "somebody leans most of the time"
-    assert log.gripper_object_kg[-1] == 0.0
-    assert log.gripper_width_m[-1] > 0.079
+    assert log["flange_position_world"][held, 1][-1] == pytest.approx(-0.3, abs=0.02)
+    assert (log["taxel_force_n"][held].max(axis=1) > 10.0).mean() > 0.5, "somebody leans most of the time"
+    assert log["gripper_object_kg"][-1] == 0.0
+    assert log["gripper_width_m"][-1] > 0.079

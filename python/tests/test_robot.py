@@ -1,3 +1,5 @@
+import subprocess
+import textwrap
 import threading
 import time
 
@@ -206,3 +208,21 @@ def test_without_a_certificate_it_says_which_file_is_missing(distant, monkeypatc
     monkeypatch.setenv("MOCA_ACCESS_FILE", "/no/such/certificate.pem")
     with pytest.raises(moca.Disconnected, match="/no/such/certificate.pem"):
         moca.connect(address)
+
+
+def test_program_of_the_tutorial_leads_a_robot_that_armed_itself(mocad, tmp_path):
+    address, config = f"unix:{tmp_path}/mocad.sock", tmp_path / "mocad.toml"
+    config.write_text(f'plant.parts = "arm"\n[telemetry]\nlisten = "{address}"\n')
+    process = subprocess.Popen([mocad, "--config", config], stdout=subprocess.DEVNULL)
+    tutorial = (ROOT / "docs/tutorials/python.md").read_text()
+    program = textwrap.dedent(tutorial.split("```python\n")[1].split("```")[0])
+    assert "moca.connect()" in program
+    try:
+        with moca.connect(address) as robot:
+            start = wait_for(robot, "impedance").flange_position_world
+        exec(program.replace("moca.connect()", f"moca.connect({address!r})"), {})
+        with moca.connect(address) as robot:
+            assert next(robot).flange_position_world[1] > start[1] + 0.002
+    finally:
+        process.kill()
+        process.wait(60)
