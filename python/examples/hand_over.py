@@ -14,12 +14,12 @@ import moca
 
 def go(robot, position_m, within_s=60.0):
     """Leads the flange to a place in the world, m. A touch sets the target aside and does not end it."""
-    state = next(robot)
+    state = robot.state
     quaternion = state.flange_desired_quaternion_world
     deadline = time.monotonic() + within_s
     while time.monotonic() < deadline:
         robot.target_pose(position_m, quaternion, touch="pass-through")
-        state = next(robot)
+        state = robot.state
         off_m = np.linalg.norm(state.flange_desired_position_world - position_m)
         if state.fault:
             raise SystemExit(f"the robot stopped: {state.fault}")
