@@ -346,6 +346,11 @@ pub struct GripperState {
 }
 
 impl GripperState {
+    /// Returns the ranges of its requests for a client: its own largest width, and a Franka Hand's other numbers.
+    pub const fn table(&self) -> GripperTable {
+        GripperTable { width_max_m: self.width_max_m, ..FRANKA_HAND }
+    }
+
     /// Returns true if an object is held.
     pub const fn is_holding(&self) -> bool {
         matches!(self.phase, GripperPhase::Holding)

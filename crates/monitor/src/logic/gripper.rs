@@ -1,16 +1,11 @@
 //! The gripper as an operator sees it: its state in words, and the numbers of the next motion with their ranges.
 
 use super::format::number;
-use moca_msgs::gripper::{FRANKA_HAND, GripperQuantity, GripperTable};
+use moca_msgs::gripper::{GripperQuantity, GripperTable};
 use moca_msgs::{GripperPhase, GripperRequest, GripperState};
 
 /// Millimetres in a metre.
 const MM: f64 = 1e3;
-
-/// Returns the ranges of the requests to a gripper in `state`. It tells its own largest width; the rest is a Franka Hand's.
-pub const fn table(state: &GripperState) -> GripperTable {
-    GripperTable { width_max_m: state.width_max_m, ..FRANKA_HAND }
-}
 
 /// Returns the distance between the fingers in words.
 pub fn width(state: &GripperState) -> String {
@@ -126,7 +121,7 @@ mod tests {
 
     #[test]
     fn both_ends_of_each_range_are_requests_that_are_taken() {
-        let table = table(&GripperState { width_max_m: 0.11, ..state(GripperPhase::Resting) });
+        let table = GripperState { width_max_m: 0.11, ..state(GripperPhase::Resting) }.table();
         let ranges = Draft::default().fields(&table).map(|field| field.range);
         assert_eq!(ranges, [[0.0, 110.0], [1.0, 100.0], [1.0, 70.0], [0.1, 110.0], [0.0, 2.27]]);
         for end in [0, 1] {

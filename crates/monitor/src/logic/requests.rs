@@ -52,8 +52,8 @@ pub fn explanation(request: Request) -> &'static str {
     }
 }
 
-/// Returns true if the daemon would take it in `mode`; `None` is a daemon without a known mode. A stop is never greyed out, that
-/// of the fingers neither.
+/// Returns true if the daemon would take it in `mode`; `None` is a daemon without a known mode. A stop, of the robot or
+/// of its fingers, is never greyed out.
 pub fn fits(request: Request, mode: Option<Mode>) -> bool {
     let stops = matches!(request, Request::Stop | Request::Gripper(GripperRequest::Stop));
     stops || mode.is_some_and(|mode| request.taken_in().contains(&mode))

@@ -2,7 +2,7 @@
 
 use super::jog;
 use crate::logic::{
-    gripper::{Draft, object, table, width},
+    gripper::{Draft, object, width},
     model::{Freshness, Model},
     requests::{explanation, label},
 };
@@ -12,10 +12,6 @@ use moca_msgs::{GripperRequest, GripperState, Request};
 
 /// Size of a button, points.
 const BUTTON: [f32; 2] = [86.0, 40.0];
-/// Shown where no fault is.
-const KEPT: &str =
-    "What is held stays held through stops, disarming and restarts, until the fingers are told to let go.";
-
 /// Draws the page and notes what was pressed.
 pub(super) fn show(ui: &mut Ui, model: &Model, view: &mut View, now_s: f64, pressed: &mut PageRequests) {
     let Some(gripper) = model.gripper() else {
@@ -45,7 +41,7 @@ fn requests(
     pressed: &mut PageRequests,
 ) {
     let mut button = |ui: &mut Ui, request: GripperRequest| {
-        let refused = request.check(&table(gripper)).err();
+        let refused = request.check(&gripper.table()).err();
         let asked = Request::Gripper(request);
         let widget = Button::new(label(asked)).min_size(BUTTON.into());
         let response = ui.add_enabled(refused.is_none() && model.allows(asked, now_s), widget);
@@ -61,7 +57,7 @@ fn requests(
             .for_each(|request| button(ui, request));
     });
     Grid::new("gripper numbers").num_columns(3).spacing([10.0, 4.0]).show(ui, |ui| {
-        for entry in draft.fields(&table(gripper)) {
+        for entry in draft.fields(&gripper.table()) {
             let [min, max] = entry.range;
             let said = format!("Gripper {}", entry.name.to_lowercase());
             ui.label(entry.name);
@@ -88,9 +84,8 @@ fn state(ui: &mut Ui, gripper: &GripperState) {
             ui.end_row();
         }
     });
-    let weak = ui.visuals().weak_text_color();
-    let (colour, text) =
-        gripper.fault.map_or_else(|| (weak, KEPT.to_owned()), |fault| (theme::BAD, fault.to_string()));
     let (_, place) = ui.allocate_space(vec2(ui.available_width(), row::PLACE));
-    row::in_place(ui, place, &text, colour);
+    if let Some(fault) = gripper.fault {
+        row::in_place(ui, place, &fault.to_string(), theme::BAD);
+    }
 }
