@@ -31,7 +31,7 @@ export class Gripper {
 
   private label({ input, unit, range }: Slider): void {
     const untold = range === "mass_kg" && Number(input.value) === 0;
-    input.previousElementSibling!.textContent = untold ? "not told" : `${input.value} ${unit}`;
+    input.parentElement!.querySelector("output")!.textContent = untold ? "not told" : `${input.value} ${unit}`;
   }
 
   /** Ranges, and whether this page may ask. */
@@ -70,7 +70,7 @@ export class Gripper {
     this.asked = at;
     const release = this.get("release");
     release.classList.toggle("next", at > 0);
-    release.querySelector("small")!.textContent = at ? "An object may fall: press again to let go" : "";
+    release.querySelector("small")!.textContent = at ? "An object may fall: press again" : "";
   }
 
   private release(now: number): void {

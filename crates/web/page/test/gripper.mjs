@@ -30,7 +30,7 @@ check(true, await said());
 // The mass is told by the slider's keys, as a finger drags it.
 await page.focus("#mass");
 for (let i = 0; i < 10; i++) await page.keyboard.press("ArrowRight");
-check((await page.textContent("#mass >> xpath=preceding-sibling::output")) === "0.5 kg", "ten steps of the mass are 0.5 kg");
+check((await page.textContent("label:has(#mass) output")) === "0.5 kg", "ten steps of the mass are 0.5 kg");
 await tap("#grasp");
 await says("holding · 50.0 mm · 0.50 kg carried");
 check(true, await said());
@@ -49,7 +49,7 @@ check((await said()).startsWith("holding"), "fingers that stop hold on");
 await page.reload();
 await browser.drawn();
 await open();
-check((await page.textContent("#mass >> xpath=preceding-sibling::output")) === "0.5 kg", "the next page begins with the last grasp");
+check((await page.textContent("label:has(#mass) output")) === "0.5 kg", "the next page begins with the last grasp");
 
 // Old state is not shown as live, and an object may be held.
 robot.gateway.kill("SIGSTOP");
