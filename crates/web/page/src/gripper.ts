@@ -20,7 +20,8 @@ export class Gripper {
   constructor(private section: HTMLElement, private link: () => Link | null) {
     const slider = (id: string, range: Slider["range"], first: number, unit: string, scale: number): Slider =>
       ({ input: this.get(id), range, first, unit, scale });
-    this.sliders = [slider("width", "width_m", 50, "mm", 1e3), slider("force", "force_n", 40, "N", 1), slider("mass", "mass_kg", 0, "kg", 1)];
+    this.sliders = [slider("width", "width_m", 50, "mm", 1e3), slider("force", "force_n", 40, "N", 1),
+      slider("mass", "mass_kg", 0, "kg", 1)];
     for (const slider of this.sliders) slider.input.oninput = () => this.label(slider);
     this.get("release").onclick = () => this.release(performance.now());
     this.get("halt").onclick = () => this.link()?.ask({ gripper: "Stop" });
@@ -52,7 +53,8 @@ export class Gripper {
     this.picture = picture;
     const { live, gripper } = picture;
     const phase = gripper?.phase ?? UNKNOWN;
-    const object = phase !== HOLDING ? "" : gripper!.object_kg > 0 ? ` · ${gripper!.object_kg.toFixed(2)} kg carried` : " · mass not told";
+    const mass = gripper && gripper.object_kg > 0 ? `${gripper.object_kg.toFixed(2)} kg carried` : "mass not told";
+    const object = phase === HOLDING ? ` · ${mass}` : "";
     const text = !live || !gripper ? "–" : phase === UNKNOWN ? "no answer from the gripper"
       : `${PHASES[phase]} · ${(gripper.width_m * 1e3).toFixed(1)} mm${object}`;
     const shown = this.get("fingers");

@@ -13,7 +13,8 @@ export interface State {
 }
 /** Ranges of a grasp, and the gripper's fault. */
 export interface Gripper {
-  width_m: [number, number]; force_n: [number, number]; mass_kg: [number, number]; fault: { text: string; remedy: string } | null;
+  width_m: [number, number]; force_n: [number, number]; mass_kg: [number, number];
+  fault: { text: string; remedy: string } | null;
 }
 export interface Calibration {
   step: string; text?: string; taxel?: number; done?: number; wanted?: number; force_n?: number | null;
