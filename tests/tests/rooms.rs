@@ -239,6 +239,7 @@ const NO_ROBOT: &[(&str, &str)] = &[
     ("control/src/config/default_gains.rs", "<7>"), // the same
     ("sim/src/mechanics/analytic.rs", "<7>"), // which arms it is built for
     ("monitor/src/ui/theme.rs", "; 11]"), // colours
+    ("monitor/src/ui/pages/mod.rs", "; 7]"), // pages
     ("figures/src/drawing.rs", "; 7]"),   // colours
     ("control/src/config/mod.rs", "; 7]"), // thresholds of an arm that speaks FCI
     ("franka/src/mode.rs", "; 7]"),       // what such an arm can say that it does

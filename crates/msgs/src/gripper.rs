@@ -99,6 +99,19 @@ pub enum GripperQuantity {
     Mass,
 }
 
+impl GripperTable {
+    /// Returns the smallest and the largest value that a request may have, in the quantity's unit.
+    pub const fn range(&self, quantity: GripperQuantity) -> [f64; 2] {
+        match quantity {
+            GripperQuantity::Width => [0.0, self.width_max_m],
+            GripperQuantity::Speed => self.speed_m_s,
+            GripperQuantity::Force => self.force_n,
+            GripperQuantity::Tolerance => [TOLERANCE_MIN_M, self.width_max_m],
+            GripperQuantity::Mass => [0.0, self.object_max_kg],
+        }
+    }
+}
+
 impl GripperQuantity {
     /// Name and unit.
     const fn words(self) -> [&'static str; 2] {
@@ -152,25 +165,25 @@ impl GripperRequest {
     /// # Errors
     /// The first number out of its range.
     pub fn check(&self, gripper: &GripperTable) -> Result<(), GripperRefusal> {
-        let within = |quantity, value: f64, allowed: [f64; 2]| {
+        let within = |quantity, value: f64| {
+            let allowed = gripper.range(quantity);
             if value >= allowed[0] && value <= allowed[1] {
                 return Ok(());
             }
             Err(GripperRefusal::OutOfRange { quantity, value, allowed })
         };
-        let widest_m = gripper.width_max_m;
         let moves = |width_m, speed_m_s| {
-            within(GripperQuantity::Width, width_m, [0.0, widest_m])?;
-            within(GripperQuantity::Speed, speed_m_s, gripper.speed_m_s)
+            within(GripperQuantity::Width, width_m)?;
+            within(GripperQuantity::Speed, speed_m_s)
         };
         match *self {
             Self::Home | Self::Release | Self::Stop => Ok(()),
             Self::Move { width_m, speed_m_s } => moves(width_m, speed_m_s),
             Self::Grasp { width_m, speed_m_s, force_n, tolerance_m, mass_kg } => {
                 moves(width_m, speed_m_s)?;
-                within(GripperQuantity::Force, force_n, gripper.force_n)?;
-                within(GripperQuantity::Tolerance, tolerance_m, [TOLERANCE_MIN_M, widest_m])?;
-                within(GripperQuantity::Mass, mass_kg, [0.0, gripper.object_max_kg])
+                within(GripperQuantity::Force, force_n)?;
+                within(GripperQuantity::Tolerance, tolerance_m)?;
+                within(GripperQuantity::Mass, mass_kg)
             }
         }
     }
@@ -333,6 +346,11 @@ pub struct GripperState {
 }
 
 impl GripperState {
+    /// Returns the ranges of its requests for a client: its own largest width, and a Franka Hand's other numbers.
+    pub const fn table(&self) -> GripperTable {
+        GripperTable { width_max_m: self.width_max_m, ..FRANKA_HAND }
+    }
+
     /// Returns true if an object is held.
     pub const fn is_holding(&self) -> bool {
         matches!(self.phase, GripperPhase::Holding)

@@ -7,7 +7,7 @@ use crate::{
     picture::Extras,
     rate::{Bucket, Rate},
 };
-use moca_msgs::{Law, Request};
+use moca_msgs::{GripperRequest, Law, Request};
 use moca_telemetry::{
     calibration::CalibrationRequest,
     net::access::{CALIBRATE, least_role},
@@ -79,6 +79,7 @@ enum What {
     Tare,
     Resume,
     Law(Law),
+    Gripper(GripperRequest),
     PressTaxel { taxel: u8, force_n: f64 },
     MaskTaxel { taxel: u8, masked: bool },
     SetParameter { name: String, values: Vec<f64> },
@@ -256,11 +257,13 @@ fn ask(what: What, named: Option<Sent>, page: &Page<'_>, now: Instant) -> Heard 
         Ok(order) => order,
         Err(refused) => return refuse(page, &name, Some(refused)),
     };
-    let least = match &order {
-        Order::Ask(request) => least_role(request),
-        Order::Calibrate(_) => Some(CALIBRATE),
+    let refused = match &order {
+        // What stops the fingers is taken from an old picture too.
+        Order::Ask(request @ Request::Gripper(GripperRequest::Stop)) => unfit(least_role(request), page),
+        Order::Ask(request) => refusal(least_role(request), named, page, now),
+        Order::Calibrate(_) => refusal(Some(CALIBRATE), named, page, now),
     };
-    if let Some(refused) = refusal(least, named, page, now) {
+    if let Some(refused) = refused {
         return refuse(page, &name, Some(refused));
     }
     let (answer, answered) = oneshot::channel();
@@ -281,6 +284,7 @@ fn order(what: What, page: &Page<'_>) -> Result<Order, String> {
         What::Tare => Request::Tare,
         What::Resume => Request::Resume,
         What::Law(law) => Request::SelectLaw(law),
+        What::Gripper(request) => Request::Gripper(request),
         What::PressTaxel { taxel, force_n } => Request::PressTaxel { taxel, force_n },
         What::MaskTaxel { taxel, masked } => Request::MaskTaxel { taxel, masked },
         What::Calibrate { taxel, presses } => {
@@ -300,11 +304,16 @@ fn order(what: What, page: &Page<'_>) -> Result<Order, String> {
     }))
 }
 
+/// Returns the refusal of a page whose role is below `least`.
+fn unfit(least: Option<Role>, page: &Page<'_>) -> Option<String> {
+    let role = page.device.role;
+    least.is_none_or(|least| role < least).then(|| format!("a {} may not do this", role.name()))
+}
+
 /// Why something that moves or changes the robot is refused: the role, an old picture, or a stop that it does not show.
 fn refusal(least: Option<Role>, named: Option<Sent>, page: &Page<'_>, now: Instant) -> Option<String> {
-    let role = page.device.role;
-    if least.is_none_or(|least| role < least) {
-        return Some(format!("a {} may not do this", role.name()));
+    if let Some(refused) = unfit(least, page) {
+        return Some(refused);
     }
     let fresh = |sent: &Sent| now.saturating_duration_since(sent.at) < page.gateway.commander.lease();
     match named.filter(fresh) {

@@ -2,16 +2,17 @@
 //!
 //! | byte | content |
 //! |---|---|
-//! | 0 | version, mode, law (255: unknown), flags: 1 live, 2 this page holds, 4 another holds |
+//! | 0 | version, mode, law (255: unknown), flags: 1 live, 2 this page holds, 4 another holds, 8 gripper |
 //! | 4 | `u32` number of the picture, `u32` newest message heard |
 //! | 12 | `u16` time since that message, 0.1 ms; `u16` age of the newest picture drawn, ms; `u32` newest stop confirmed |
 //! | 20 | `f64` loop time, s |
 //! | 28 | taxels, joints, reason of the speed limit, 0 |
 //! | 32 | `f32`: base pose (3), base velocity (3), cover speed, speed limit, cover age, cover rate, flange (3), joints, forces |
 //! | … | status of each taxel |
+//! | … | of a gripper: `f32` width, m, `f32` mass of the object, kg, phase |
 
 use crate::look::Look;
-use moca_msgs::{Law, Mode, SpeedLimitReason, TaxelStatus};
+use moca_msgs::{GripperPhase, Law, Mode, SpeedLimitReason, TaxelStatus};
 use tokio::time::Instant;
 
 /// Version of the layout.
@@ -48,7 +49,7 @@ pub(crate) fn picture(look: &Look, force_n: &[f64], extras: &Extras, now: Instan
         HolderSeen::ThisPage => 2,
         HolderSeen::Another => 4,
     };
-    let flags = u8::from(look.is_fresh(now)) | holder;
+    let flags = u8::from(look.is_fresh(now)) | holder | if sample.gripper.is_some() { 8 } else { 0 };
     let mut bytes = Vec::with_capacity(256);
     bytes.extend([VERSION, mode_number(sample.mode), sample.law.map_or(255, law_number), flags]);
     bytes.extend(extras.number.to_le_bytes());
@@ -72,11 +73,15 @@ pub(crate) fn picture(look: &Look, force_n: &[f64], extras: &Extras, now: Instan
         .chain(&sample.flange_position_world)
         .chain(&sample.q_rad)
         .chain(force_n);
-    for number in numbers {
-        #[expect(clippy::cast_possible_truncation, reason = "shown with three digits")]
-        bytes.extend((*number as f32).to_le_bytes());
-    }
+    #[expect(clippy::cast_possible_truncation, reason = "shown with three digits")]
+    let short = |number: f64| (number as f32).to_le_bytes();
+    numbers.for_each(|number| bytes.extend(short(*number)));
     bytes.extend(sample.taxels.iter().map(|taxel| status_number(taxel.status)));
+    if let Some(gripper) = &sample.gripper {
+        bytes.extend(short(gripper.width_m));
+        bytes.extend(short(gripper.object_kg));
+        bytes.push(phase_number(gripper.phase));
+    }
     bytes
 }
 
@@ -107,6 +112,15 @@ const fn reason_number(reason: SpeedLimitReason) -> u8 {
         SpeedLimitReason::Overridden => 3,
         SpeedLimitReason::Contact => 4,
         SpeedLimitReason::BaseLate => 5,
+    }
+}
+
+const fn phase_number(phase: GripperPhase) -> u8 {
+    match phase {
+        GripperPhase::Resting => 0,
+        GripperPhase::Moving => 1,
+        GripperPhase::Holding => 2,
+        GripperPhase::Unknown => 3,
     }
 }
 
@@ -160,6 +174,8 @@ mod tests {
             SpeedLimitReason::Contact,
             SpeedLimitReason::BaseLate,
         ];
+        let phases =
+            [GripperPhase::Resting, GripperPhase::Moving, GripperPhase::Holding, GripperPhase::Unknown];
         let list = |name: &str, words: &[&str]| {
             let words: Vec<String> = words.iter().map(|word| format!("\"{word}\"")).collect();
             format!("{name} = [{}]", words.join(", "))
@@ -168,12 +184,14 @@ mod tests {
             list("MODES", &modes.map(Mode::name)),
             list("STATUSES", &statuses.map(TaxelStatus::name)),
             list("REASONS", &reasons.map(SpeedLimitReason::name)),
+            list("PHASES", &phases.map(GripperPhase::name)),
         ] {
             assert!(PAGE.contains(&wanted), "page/src/picture.ts lacks {wanted}");
         }
         assert_eq!(modes.map(mode_number), [0, 1, 2, 3, 4, 5, 6]);
         assert_eq!(statuses.map(status_number), [0, 1, 2, 3, 4, 5, 6, 7, 8]);
         assert_eq!(reasons.map(reason_number), [0, 1, 2, 3, 4, 5]);
+        assert_eq!(phases.map(phase_number), [0, 1, 2, 3]);
     }
 
     #[test]
@@ -185,5 +203,14 @@ mod tests {
         let bytes = picture(&look, &force_n, &Extras::default(), Instant::now());
         assert_eq!(bytes.len(), 32 + 4 * (13 + 7 + 11) + 11);
         assert!(bytes.len() * 30 < 8000);
+        assert_eq!(bytes[3], 0, "neither live, nor held, nor with a gripper");
+        let phase = GripperPhase::Holding;
+        look.sample.gripper =
+            Some(moca_msgs::GripperState { width_m: 0.05, object_kg: 0.5, phase, ..Default::default() });
+        let with_gripper = picture(&look, &force_n, &Extras::default(), Instant::now());
+        let mut appended = [0.05_f32, 0.5].map(f32::to_le_bytes).concat();
+        appended.push(2);
+        assert_eq!((with_gripper[3], &with_gripper[bytes.len()..]), (8, appended.as_slice()));
+        assert!(with_gripper.len() * 30 < 8000);
     }
 }

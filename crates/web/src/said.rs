@@ -1,7 +1,7 @@
 //! The part of a robot's state that changes seldom, as text for a page.
 
 use crate::{ears::Page, holder::Holder};
-use moca_msgs::Mode;
+use moca_msgs::{GripperState, Mode, gripper::GripperQuantity};
 use moca_telemetry::{
     calibration::CalibrationProgress,
     net::{Commander, access::CALIBRATE},
@@ -30,6 +30,7 @@ pub(crate) fn state(page: &Page<'_>, holder: &watch::Receiver<Option<Holder>>) -
         "moves": sample.mode.moves(),
         "law": sample.law.map(|law| Mode::from(law).name()),
         "fault": sample.fault.map(|fault| json!({"text": fault.text(), "remedy": fault.remedy()})),
+        "gripper": sample.gripper.as_ref().map(gripper),
         "uncalibrated": robot.map(|robot| &robot.uncalibrated),
         "notice": look.notice,
         "size": robot.map(|robot| robot.base_size_m),
@@ -37,6 +38,17 @@ pub(crate) fn state(page: &Page<'_>, holder: &watch::Receiver<Option<Holder>>) -
         "calibration": calibration,
     })
     .to_string()
+}
+
+/// Fault of a gripper, and the ranges of a grasp. What changes while its fingers move is in the pictures.
+fn gripper(state: &GripperState) -> Value {
+    let ranges = state.table();
+    json!({
+        "width_m": ranges.range(GripperQuantity::Width),
+        "force_n": ranges.range(GripperQuantity::Force),
+        "mass_kg": ranges.range(GripperQuantity::Mass),
+        "fault": state.fault.map(|fault| json!({"text": fault.text(), "remedy": fault.remedy()})),
+    })
 }
 
 /// Progress of a calibration in few words; the models of a fit with their errors.

@@ -194,6 +194,14 @@ impl Page {
         self.state["mode"].as_str().unwrap_or_default()
     }
 
+    /// Distance between the gripper's fingers, mm, mass of the object, kg, and number of the phase.
+    pub(crate) fn gripper(&self) -> Option<(f32, f32, u8)> {
+        let shown = self.picture.get(3).is_some_and(|flags| flags & 8 != 0);
+        let [.., w0, w1, w2, w3, m0, m1, m2, m3, phase] = *self.picture.as_slice() else { return None };
+        let [width_m, object_kg] = [[w0, w1, w2, w3], [m0, m1, m2, m3]].map(f32::from_le_bytes);
+        shown.then_some(((1e3 * width_m).round(), object_kg, phase))
+    }
+
     pub(crate) fn stop_confirmed(&self) -> u32 {
         self.number(16)
     }

@@ -15,7 +15,7 @@ use serde_json::json;
 async fn site_with_its_own_certificate_needs_no_authority() {
     let site = Robot::start("site").state();
     let own = SiteCertificate { chain: site.join("server.pem"), key: site.join("server-key.pem") };
-    let robot = Robot::start_with("own-certificate", Some(own), false);
+    let robot = Robot::start_with("own-certificate", Some(own), false, "");
     assert!(!robot.state().join("authority.pem").exists());
     let mut browser = Browser::new(robot.gateway, &site);
     let code = Store::open(&robot.state()).unwrap().new_code(Role::Viewer).unwrap();
@@ -182,6 +182,8 @@ fn requests() -> Vec<(serde_json::Value, Role)> {
             Role::Maintainer,
         ),
         (json!({"calibrate": {"taxel": 0, "presses": 1}}), Role::Maintainer),
+        (json!({"gripper": "Stop"}), Role::Operator),
+        (json!({"gripper": "Release"}), Role::Operator),
         (json!("cancel-calibration"), Role::Maintainer),
         (json!({"save-calibration": {"model": 0}}), Role::Maintainer),
     ]

@@ -9,5 +9,6 @@
 mod browser;
 mod doors;
 mod floods;
+mod gripper;
 mod hold;
 mod robot;

@@ -24,23 +24,30 @@ pub(crate) struct Robot {
 
 impl Robot {
     pub(crate) fn start(name: &str) -> Self {
-        Self::start_with(name, None, false)
+        Self::start_with(name, None, false, "")
     }
 
     /// One that records its log.
     pub(crate) fn start_recorded(name: &str) -> Self {
-        Self::start_with(name, None, true)
+        Self::start_with(name, None, true, "")
     }
 
-    /// A gateway with a certificate of the site's own, or one by the robot's authority.
-    pub(crate) fn start_with(name: &str, site: Option<SiteCertificate>, recorded: bool) -> Self {
+    /// One with a gripper, and a cube of 50 mm and 0.5 kg between its fingers.
+    pub(crate) fn start_with_gripper(name: &str) -> Self {
+        let more = "[plant]\ngripper = \"simulated\"\n[simulation.true.object]\nmass_kg = 0.5\n";
+        Self::start_with(name, None, false, more)
+    }
+
+    /// A gateway with a certificate of the site's own, or one by the robot's authority; the robot's configuration ends with
+    /// `more`.
+    pub(crate) fn start_with(name: &str, site: Option<SiteCertificate>, recorded: bool, more: &str) -> Self {
         let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("web-{name}"));
         let _ = std::fs::remove_dir_all(&folder);
         std::fs::create_dir_all(folder.join("logs")).unwrap();
         let socket = std::env::temp_dir().join(format!("moca-web-{}-{name}.sock", std::process::id()));
         let config = folder.join("mocad.toml");
         let text = format!(
-            "[telemetry]\nlisten = \"unix:{}\"\n[startup]\narm = false\n[simulation.hand]\ntaxels = []\n",
+            "[telemetry]\nlisten = \"unix:{}\"\n[startup]\narm = false\n[simulation.hand]\ntaxels = []\n{more}",
             socket.display()
         );
         std::fs::write(&config, text).unwrap();

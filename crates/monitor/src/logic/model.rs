@@ -10,7 +10,10 @@ use super::{
         timing::Timing,
     },
 };
-use moca_msgs::{Law, Mode, Refusal, Request, Sample, TargetRefusal, protection::ContactPhase, seconds};
+use moca_msgs::{
+    GripperRequest, GripperState, Law, Mode, Refusal, Request, Sample, TargetRefusal,
+    protection::ContactPhase, seconds,
+};
 use moca_telemetry::{
     RobotDescription,
     calibration::CalibrationProgress,
@@ -146,6 +149,11 @@ impl Model {
         self.latest.as_ref().filter(|_| live).map(|s| s.mode)
     }
 
+    /// Returns the gripper as the newest sample has it; `None` of a robot without one.
+    pub fn gripper(&self) -> Option<&GripperState> {
+        self.latest.as_ref()?.gripper.as_ref()
+    }
+
     /// The mode of a robot that runs; a log has none, whatever it shows.
     pub fn live_mode(&self, now_s: f64) -> Option<Mode> {
         self.mode(now_s).filter(|_| !self.recorded)
@@ -247,6 +255,10 @@ impl Model {
     fn note_reply(&mut self, reply: Reply) {
         let asked = request_text(reply.request);
         let answer = match reply.outcome {
+            // It is answered when the fingers begin to move; their state tells the end.
+            Ok(()) if matches!(reply.request, Request::Gripper(request) if request != GripperRequest::Stop) => {
+                Answer::good(format!("{asked}: begun"))
+            }
             Ok(()) => Answer::good(format!("{asked}: done")),
             Err(refusal) => Answer::bad(format!("{asked}: refused, {}", self.why(reply.request, refusal))),
         };

@@ -3,6 +3,7 @@
 //! `requests::PageRequests` and sent by the app at its end. [`FleetWindow`] lists several robots and lays out the one that is open.
 
 mod app;
+mod field;
 mod files;
 mod fleet;
 mod gauges;

@@ -1,19 +1,19 @@
 //! Mode and why, and the buttons.
 
-use super::{requests::PageRequests, theme};
+use super::{requests::PageRequests, row, theme};
 use crate::logic::{
     format::taxel_name,
+    gripper::object,
     limited::Limited,
     model::{Freshness, Model},
     requests::{explanation, label},
 };
 use egui::{
-    Align, Button, Color32, Context, FontId, Galley, Label, Layout, Rect, RichText, Sense, Theme, Ui,
-    UiBuilder, pos2, text::LayoutJob, vec2,
+    Align, Button, Color32, Context, FontId, Label, Layout, Rect, RichText, Sense, Theme, Ui, UiBuilder,
+    pos2, vec2,
 };
-use moca_msgs::{Law, Mode, Request, Sample, TaxelStatus, board::Diagnosis};
+use moca_msgs::{GripperState, Law, Mode, Request, Sample, TaxelStatus, board::Diagnosis};
 use moca_telemetry::net::Commander;
-use std::sync::Arc;
 
 /// Narrowest and widest banner, and what the buttons and STOP beside it take, points.
 const BANNER: (f32, f32) = (190.0, 310.0);
@@ -22,11 +22,6 @@ const STOP: f32 = 186.0;
 const BANNER_HEIGHT: f32 = 50.0;
 /// Height of a line of the banner as a share of its letters.
 const LINE: f32 = 1.2;
-/// Rows of the reason at most.
-const REASON_ROWS: usize = 3;
-/// Height of the reason's place, which is the same for every text, and the sizes of its letters, points.
-const REASON: f32 = 44.0;
-const REASON_SIZES: [f32; 4] = [18.0, 15.0, 13.0, 11.5];
 /// Size of a tab's letters, points.
 const TAB: f32 = 15.0;
 /// Steps of the size of everything, and its range.
@@ -84,15 +79,14 @@ pub(super) fn show(
     if narrow {
         ui.horizontal_wrapped(|ui| buttons(ui, model, now_s, pressed));
     }
-    let (line, _) = ui.allocate_exact_size(vec2(ui.available_width(), REASON), Sense::hover());
+    let (line, _) = ui.allocate_exact_size(vec2(ui.available_width(), row::PLACE), Sense::hover());
     let layout = Layout::right_to_left(Align::TOP);
     let ui = &mut ui.new_child(UiBuilder::new().max_rect(line).layout(layout));
     looks(ui);
     let (colour, text) = reason(model, address, now_s);
     let colour = colour.unwrap_or_else(|| ui.visuals().text_color());
     let rest = Rect::from_min_max(line.min, pos2(ui.cursor().right(), line.bottom()));
-    let layout = Layout::top_down(Align::Min);
-    in_place(&mut ui.new_child(UiBuilder::new().max_rect(rest).layout(layout)), &text, colour);
+    row::in_place(ui, rest, &text, colour);
 }
 
 /// Light or dark, and how large everything is.
@@ -115,26 +109,6 @@ fn looks(ui: &mut Ui) {
 /// Sets the size of everything, 1 is the desktop's.
 pub(super) fn set_zoom(ctx: &Context, zoom: f32) {
     ctx.set_zoom_factor(zoom.limited(ZOOM.0, ZOOM.1));
-}
-
-/// Writes a text of any length into a place of fixed size, smaller if need be; the rest of a longer one is in its hint.
-fn in_place(ui: &mut Ui, text: &str, colour: Color32) {
-    let room = ui.available_size();
-    let laid_out = |size: f32| {
-        let mut job = LayoutJob::simple(text.to_owned(), FontId::proportional(size), colour, room.x);
-        // A smallest line is 1.25 of its letters high.
-        job.wrap.max_rows = REASON_ROWS;
-        ui.painter().layout_job(job)
-    };
-    let fits = |galley: &Arc<Galley>| !galley.elided && galley.size().y <= room.y;
-    let mut galleys = REASON_SIZES.into_iter().map(laid_out);
-    let galley = galleys.find(fits);
-    let whole = galley.is_some();
-    let galley = galley.unwrap_or_else(|| laid_out(REASON_SIZES[REASON_SIZES.len() - 1]));
-    let label = ui.add(Label::new(galley).selectable(false));
-    if !whole {
-        label.on_hover_text(text);
-    }
 }
 
 /// A button for each request that makes sense for the parts that the robot has.
@@ -231,6 +205,9 @@ fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String)
     if !matches!(sample.board, Diagnosis::Frames | Diagnosis::NoBoard) {
         return (Some(theme::WARNING), model.robot.board_text(sample.board));
     }
+    if let Some(fault) = sample.gripper.and_then(|gripper| gripper.fault) {
+        return (Some(theme::WARNING), fault.to_string());
+    }
     let kind = if model.robot.simulated { ", simulated" } else { "" };
     let command = match model.status.commander {
         Commander::Nobody => "",
@@ -244,7 +221,9 @@ fn reason(model: &Model, address: &str, now_s: f64) -> (Option<Color32>, String)
         (true, true) => arm,
     };
     let cover = if model.robot.uncalibrated.is_empty() { "" } else { " · cover uncalibrated" };
-    (None, format!("{} ({what}{kind}){command}{cover}{}", model.robot.name, masked(sample)))
+    let held = sample.gripper.filter(GripperState::is_holding);
+    let held = held.map_or_else(String::new, |gripper| format!(" · object {}", object(&gripper)));
+    (None, format!("{} ({what}{kind}){command}{cover}{}{held}", model.robot.name, masked(sample)))
 }
 
 /// The taxels that are out of use, by number.

@@ -3,6 +3,7 @@
 use crate::logic::{
     camera::OrbitCamera,
     event::Event,
+    gripper::Draft,
     model::Model,
     signals::{axis::TimeAxis, history::History},
 };
@@ -24,6 +25,8 @@ pub(super) struct View {
     pub(super) push_n: f64,
     /// Speed of the jog pad, m/s, and in whose axes.
     pub(super) jog: (f64, TwistAxes),
+    /// Numbers of the gripper's next motion.
+    pub(super) gripper: Draft,
     /// Choices on the page of the calibration.
     pub(super) calibration: CalibrationChoice,
     /// Parameters that were edited and not applied yet, by number.
@@ -48,6 +51,7 @@ impl Default for View {
             paused: None,
             push_n: 20.0,
             jog: (0.05, TwistAxes::World),
+            gripper: Draft::default(),
             calibration: CalibrationChoice::default(),
             drafts: BTreeMap::new(),
             camera: OrbitCamera::default(),

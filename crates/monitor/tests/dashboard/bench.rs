@@ -6,7 +6,7 @@ use moca_monitor::{
     logic::source::{live::Live, playback::Playback},
     ui::App,
 };
-use moca_msgs::{Fault, Mode, Request, Sample, TaxelReading, TaxelStatus, board::Diagnosis};
+use moca_msgs::{Fault, GripperState, Mode, Request, Sample, TaxelReading, TaxelStatus, board::Diagnosis};
 use moca_telemetry::{
     ParameterDescription, ParameterForm, ParameterValue, RobotDescription,
     calibration::{CalibrationProgress, CalibrationRequest},
@@ -79,6 +79,7 @@ pub(crate) struct Bench {
     pub(crate) tick: u64,
     pub(crate) masked: Option<usize>,
     pub(crate) board: Diagnosis,
+    pub(crate) gripper: Option<GripperState>,
 }
 
 impl Bench {
@@ -93,7 +94,7 @@ impl Bench {
             },
             app,
         );
-        Self { daemon, harness, tick: 0, masked: None, board: Diagnosis::Frames }
+        Self { daemon, harness, tick: 0, masked: None, board: Diagnosis::Frames, gripper: None }
     }
 
     pub(crate) fn in_mode(mode: Mode) -> Self {
@@ -110,6 +111,7 @@ impl Bench {
                 sample.taxels[taxel].status = TaxelStatus::Masked;
             }
             sample.board = self.board;
+            sample.gripper = self.gripper;
             self.tick += 1;
             self.daemon.borrow_mut().samples.push_back(sample);
             self.harness.step();

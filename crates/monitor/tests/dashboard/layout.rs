@@ -8,10 +8,10 @@ use moca_telemetry::calibration::{CalibrationFit, CalibrationProgress, FittedMod
 use moca_telemetry::{ParameterForm, net::Commander};
 
 /// A usual small window, halves of two usual screens, and a usual one.
-const SIZES: [[f32; 2]; 4] = [[1160.0, 640.0], [960.0, 1040.0], [683.0, 700.0], [1280.0, 800.0]];
+pub(crate) const SIZES: [[f32; 2]; 4] = [[1160.0, 640.0], [960.0, 1040.0], [683.0, 700.0], [1280.0, 800.0]];
 
 /// Labels of everything that reaches out of the window to the side, or over something that must be free.
-fn outside(bench: &Bench, size: Vec2) -> Vec<String> {
+pub(crate) fn outside(bench: &Bench, size: Vec2) -> Vec<String> {
     let window = Rect::from_min_size(egui::Pos2::ZERO, size).expand(1.0);
     let nodes = bench.harness.query_all_by(|node| node.label().is_some() || node.value().is_some());
     let reaches_out = nodes.filter(|node| {
@@ -139,7 +139,7 @@ fn no_text_of_a_picture_or_a_table_is_written_over_another() {
 }
 
 /// Every button, check box and tab of the window, in order, with its name.
-fn buttons(bench: &Bench) -> Vec<(String, Rect)> {
+pub(crate) fn buttons(bench: &Bench) -> Vec<(String, Rect)> {
     let roles = [Role::Button, Role::CheckBox, Role::RadioButton, Role::Slider];
     let nodes = bench.harness.query_all_by(|node| roles.contains(&node.role()) && node.label().is_some());
     nodes.map(|node| (node.accesskit_node().label().unwrap_or_default(), node.rect())).collect()

@@ -5,6 +5,7 @@ mod bench;
 mod calibration;
 mod commanding;
 mod fleet;
+mod gripper;
 mod layout;
 mod logs;
 mod parameters;

@@ -9,14 +9,21 @@ export interface State {
   you: string; role: "viewer" | "operator" | "maintainer"; holder: string | null; down: string | null; name: string | null;
   simulated: boolean; mode: string; moves: boolean; law: string | null; fault: { text: string; remedy: string } | null;
   uncalibrated: string | null; notice: string; size: [number, number, number] | null; taxels: [number, number][] | null;
-  calibration: Calibration | null;
+  calibration: Calibration | null; gripper: Gripper | null;
+}
+/** Ranges of a grasp, and the gripper's fault. */
+export interface Gripper {
+  width_m: [number, number]; force_n: [number, number]; mass_kg: [number, number];
+  fault: { text: string; remedy: string } | null;
 }
 export interface Calibration {
   step: string; text?: string; taxel?: number; done?: number; wanted?: number; force_n?: number | null;
   models?: { name: string; usable: boolean; rmse_n: number; worst_n: number }[];
 }
 export interface Reply { what: string; ok: boolean; text: string | null }
-export type Ask = "tare" | "resume" | "cancel-calibration" | { law: string } | { "press-taxel": { taxel: number; force_n: number } }
+export type Ask = "tare" | "resume" | "cancel-calibration" | { law: string }
+  | { gripper: "Release" | "Stop" | { Grasp: { width_m: number; speed_m_s: number; force_n: number; tolerance_m: number; mass_kg: number } } }
+  | { "press-taxel": { taxel: number; force_n: number } }
   | { "mask-taxel": { taxel: number; masked: boolean } } | { "set-parameter": { name: string; values: number[] } }
   | { calibrate: { taxel: number; presses: number } } | { "save-calibration": { model: number } };
 

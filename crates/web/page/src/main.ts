@@ -1,5 +1,6 @@
 import "./style.css";
 import { Cover } from "./cover";
+import { Gripper } from "./gripper";
 import { holdToRun } from "./hold";
 import { Link, type Reply, type State } from "./link";
 import { Maintain } from "./maintain";
@@ -122,6 +123,8 @@ const values = Object.fromEntries(["Place", "Heading", "Speed", "Limit", "Cover 
   return [name, value];
 }));
 
+const gripper = new Gripper($("gripper"), () => link);
+
 function see(next: State): void {
   state = next;
   const down = next.down !== null;
@@ -129,10 +132,12 @@ function see(next: State): void {
   put($("who"), next.holder ? `${next.holder} commands` : `${next.you} · ${next.role}`);
   put($("mode"), down ? "no daemon" : next.mode);
   $("mode").className = `chip ${down || next.fault ? "stopped" : next.moves ? "moves" : "rests"}`;
-  const text = next.down ?? (next.fault ? `${next.fault.text} ${next.fault.remedy}` : next.notice || next.uncalibrated || "");
+  // A gripper's fault stops nothing, and is seen from every page all the same.
+  const fault = next.fault ?? next.gripper?.fault;
+  const text = next.down ?? (fault ? `${fault.text} ${fault.remedy}` : next.notice || next.uncalibrated || "");
   put($("fault"), text);
   $("fault").hidden = !text;
-  $("fault").className = down || next.fault ? "bad" : "";
+  $("fault").className = down || fault ? "bad" : "";
   document.body.classList.toggle("running", next.moves && !down);
   cover.set(next.size, next.taxels);
   maintain.state(next);
@@ -153,6 +158,8 @@ function buttons(next: State, down: boolean): void {
     law.disabled = !may || !ours;
     law.setAttribute("aria-pressed", String(law.dataset["law"] === next.law));
   }
+  for (const to of all("[data-to=gripper]")) to.hidden = !next.gripper;
+  gripper.state(next, may && ours);
   for (const to of all("[data-to=maintain]")) to.hidden = next.role !== "maintainer";
   const runs = may && ours && (next.mode === "ready" || next.moves);
   $<HTMLButtonElement>("run").disabled = !runs;
@@ -197,6 +204,7 @@ function show(picture: Picture): void {
   const live = (text: string) => (picture.live ? text : "–");
   const [x = 0, y = 0, yaw = 0] = picture.pose;
   cover.draw(picture);
+  gripper.draw(picture);
   put(values["Place"], live(`${rounded(x)}, ${rounded(y)} m`));
   put(values["Heading"], live(`${(yaw * 180 / Math.PI).toFixed(0)}°`));
   put(values["Speed"], live(`${picture.speed.toFixed(3)} m/s`));

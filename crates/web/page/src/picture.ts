@@ -2,6 +2,7 @@
 export const MODES = ["starting", "taring", "ready", "impedance", "follow-me", "protective stop", "fault"];
 export const STATUSES = ["ok", "not tared", "stale", "at its end", "stuck", "dead", "noisy", "drifted", "masked"];
 export const REASONS = ["configured", "board rate", "stale data", "overridden", "contact", "late base"];
+export const PHASES = ["resting", "moving", "holding", "unknown"];
 const VERSION = 1;
 
 export interface Picture {
@@ -23,7 +24,11 @@ export interface Picture {
   joints: number[];
   force_n: number[];
   status: number[];
+  gripper: Fingers | null;
 }
+
+/** The gripper: distance between its fingers, mass of the object that the arm carries (0: none, or not told). */
+export interface Fingers { width_m: number; object_kg: number; phase: number }
 
 export function read(buffer: ArrayBuffer): Picture {
   const view = new DataView(buffer);
@@ -39,6 +44,10 @@ export function read(buffer: ArrayBuffer): Picture {
   const angles = floats(joints);
   const force_n = floats(taxels);
   const status = Array.from({ length: taxels }, () => view.getUint8(at++));
+  const gripper = () => {
+    const [width_m = 0, object_kg = 0] = floats(2);
+    return { width_m, object_kg, phase: view.getUint8(at) };
+  };
   return {
     mode: view.getUint8(1),
     live: (flags & 1) !== 0,
@@ -49,6 +58,6 @@ export function read(buffer: ArrayBuffer): Picture {
     stopConfirmed: view.getUint32(16, true),
     time_s: view.getFloat64(20, true),
     limitReason: view.getUint8(30),
-    pose, speed, limit, coverAge_s, coverRate_hz, joints: angles, force_n, status,
+    pose, speed, limit, coverAge_s, coverRate_hz, joints: angles, force_n, status, gripper: flags & 8 ? gripper() : null,
   };
 }

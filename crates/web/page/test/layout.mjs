@@ -5,7 +5,8 @@ import { Browser, Robot, SIZES, check, finish, sleep } from "./robot.mjs";
 const folder = process.argv[2];
 const PICTURES = { "tablet light cover": "tablet-running", "laptop dark cover": "laptop-dark", "laptop light maintain": "laptop-maintain",
   "tablet dark robots": "tablet-robots" };
-const robot = await Robot.start({ lease_ms: 1000 }); // nothing here depends on it;
+// The documentation's pictures show the robot of the paper, which has no gripper.
+const robot = await Robot.start({ lease_ms: 1000, gripper: !folder }); // nothing here depends on the lease
 
 /** Measured in the page. */
 function measure() {
@@ -78,7 +79,7 @@ for (const size of Object.keys(SIZES)) for (const dark of [false, true]) {
   const cell = await browser.centre("#ring g:nth-of-type(6)");
   await browser.page.evaluate(() => window.moca.ask({ "press-taxel": { taxel: 5, force_n: 12 } }));
   await sleep(900);
-  for (const page of ["cover", "plot", "robot", "logs", "maintain", "robots"]) {
+  for (const page of ["cover", "plot", "robot", ...(folder ? [] : ["gripper"]), "logs", "maintain", "robots"]) {
     await browser.page.evaluate(to => document.querySelector(`[data-to=${to}]`).click(), page);
     await sleep(page === "robot" ? 2500 : 700);
     const seen = await browser.page.evaluate(measure);

@@ -14,6 +14,9 @@ export const now = () => performance.timeOrigin + performance.now();
 export const FLAGS = ["--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
   "--disable-component-update", "--disable-sync", "--enable-unsafe-swiftshader"];
 
+/** A gripper, and a cube of 50 mm between its fingers. */
+const GRIPPER = `[plant]\ngripper = "simulated"\n[simulation.true.object]\nmass_kg = 0.5\n`;
+
 /** Waits until `found` returns something; a test that would hang ends. */
 export async function until(what, found, patience = 20000, story = async () => "") {
   for (const end = now() + patience; now() < end; await sleep(5)) {
@@ -41,7 +44,7 @@ const endings = new Set();
 process.on("exit", () => { for (const end of endings) end(); });
 
 export class Robot {
-  static async start({ host = "localhost", listen = "127.0.0.1", within = [], port = 20000 + (process.pid % 20000), lease_ms = 400, list = null } = {}) {
+  static async start({ host = "localhost", listen = "127.0.0.1", within = [], port = 20000 + (process.pid % 20000), lease_ms = 400, list = null, gripper = false } = {}) {
     const robot = new Robot();
     Object.assign(robot, { host, listen, within, port, lease_ms, folder: fs.mkdtempSync(path.join(os.tmpdir(), "moca-page-")) });
     const file = name => path.join(robot.folder, name);
@@ -57,7 +60,7 @@ export class Robot {
     fs.writeFileSync(file("robots.toml"), list.map(({ name, address }) =>
       `[[robot]]\nname = "${name}"\naddress = "${address}"\npage = "https://${name}:7643/"\n`).join("\n"));
     fs.writeFileSync(file("mocad.toml"), `[robot]\nname = "moca-lab-2"\n[telemetry]\nlisten = "${robot.address}"\n[startup]\narm = false\n`
-      + `[simulation.hand]\ntaxels = []\n`);
+      + `[simulation.hand]\ntaxels = []\n${gripper ? GRIPPER : ""}`);
     robot.daemon = spawn(MOCAD, ["--config", file("mocad.toml")], { stdio: "ignore", cwd: robot.folder });
     await robot.serve();
     robot.observer = robot.spawn("observer", [], 0, "127.0.0.1");

@@ -2,6 +2,7 @@
 
 mod calibrate;
 mod cover;
+mod gripper;
 mod jog;
 mod loop_timing;
 mod parameters;
@@ -23,6 +24,8 @@ pub enum Page {
     Plots,
     /// The robot in three dimensions.
     Robot3d,
+    /// State of the gripper and requests to it.
+    Gripper,
     /// Timing of loop and board.
     Loop,
     /// Parameters of the daemon.
@@ -35,14 +38,22 @@ pub enum Page {
 
 impl Page {
     /// In the order of their tabs.
-    pub const ALL: [Self; 6] =
-        [Self::Plots, Self::Robot3d, Self::Loop, Self::Parameters, Self::Cover, Self::Calibrate];
+    pub const ALL: [Self; 7] = [
+        Self::Plots,
+        Self::Robot3d,
+        Self::Gripper,
+        Self::Loop,
+        Self::Parameters,
+        Self::Cover,
+        Self::Calibrate,
+    ];
 
     /// Returns the label of its tab.
     pub fn name(self) -> &'static str {
         match self {
             Self::Plots => "Plots",
             Self::Robot3d => "3-D",
+            Self::Gripper => "Gripper",
             Self::Loop => "Loop",
             Self::Parameters => "Parameters",
             Self::Cover => "Cover",
@@ -65,6 +76,10 @@ impl Page {
     ) {
         ui.horizontal_wrapped(|ui| {
             for page in Self::ALL {
+                // Left in front of another robot, the page says that this one has no gripper.
+                if page == Self::Gripper && *self != page && model.gripper().is_none() {
+                    continue;
+                }
                 if ui.selectable_label(*self == page, RichText::new(page.name()).size(15.0)).clicked() {
                     *self = page;
                 }
@@ -106,6 +121,7 @@ impl Page {
                 jog::show(ui, model, view, now_s, pressed);
                 robot_3d::show(ui, model, view, now_s, pressed);
             }
+            Self::Gripper => gripper::show(ui, model, view, now_s, pressed),
             Self::Loop => loop_timing::show(ui, model, view, pressed),
             Self::Parameters => parameters::show(ui, model, view, pressed),
             Self::Cover => cover::show(ui, model, now_s, pressed),

@@ -5,11 +5,8 @@ use crate::logic::{
     model::Model,
     tuning::{element_name, is_changed},
 };
-use crate::ui::{requests::PageRequests, theme, view::View};
-use egui::{
-    Align, Button, Checkbox, CollapsingHeader, DragValue, Grid, Label, Layout, RichText, ScrollArea, Stroke,
-    Ui, vec2,
-};
+use crate::ui::{field, requests::PageRequests, theme, view::View};
+use egui::{Align, Button, Checkbox, CollapsingHeader, Grid, Label, Layout, RichText, ScrollArea, Ui, vec2};
 use moca_msgs::{ParameterValues, Request};
 use moca_telemetry::{ParameterDescription, ParameterForm, ParameterValue};
 
@@ -168,29 +165,12 @@ fn fields(ui: &mut Ui, parameter: &ParameterDescription, short: &str, may_change
                 shown.widget_info(|| egui::WidgetInfo::selected(egui::Role::CheckBox, true, on, &said));
                 *value = f64::from(u8::from(on));
             } else {
-                field(ui, parameter, element, &said, value);
+                let (min, max) = (parameter.min, parameter.max);
+                let hint = format!("{said}: {min} to {max} {}", parameter.unit(element));
+                field::number(ui, value, [min, max], &said).on_hover_text(hint);
             }
         });
     }
-}
-
-/// A field that takes any number and is red while it is not allowed: what was typed is never made another number.
-fn field(ui: &mut Ui, parameter: &ParameterDescription, element: usize, said: &str, value: &mut f64) {
-    let (min, max) = (parameter.min, parameter.max);
-    if !(min..=max).contains(value) {
-        let visuals = ui.visuals_mut();
-        visuals.override_text_color = Some(theme::BAD);
-        for widget in
-            [&mut visuals.widgets.inactive, &mut visuals.widgets.hovered, &mut visuals.widgets.active]
-        {
-            widget.bg_stroke = Stroke::new(1.5, theme::BAD);
-        }
-    }
-    // A stroke over the screen changes a value by a part of itself, whatever its size.
-    let speed = (value.abs() * 0.005).max((max - min) * 1e-6).max(1e-3);
-    let shown = ui.add(DragValue::new(value).speed(speed).max_decimals(4));
-    ui.ctx().accesskit_node_builder(shown.id, |node| node.set_label(said));
-    shown.on_hover_text(format!("{said}: {min} to {max} {}", parameter.unit(element)));
 }
 
 fn range(parameter: &ParameterDescription) -> String {

@@ -14,8 +14,8 @@ use crate::logic::{
 };
 use crate::ui::theme;
 use egui::{Color32, FontId, Mesh, Painter, Pos2, Rect, Shape, Stroke, Visuals, pos2, vec2};
-use moca_msgs::TaxelPlacement;
-use moca_msgs::{Sample, TaxelStatus};
+use moca_msgs::gripper::FRANKA_HAND;
+use moca_msgs::{GripperState, Sample, TaxelPlacement, TaxelStatus};
 
 /// Point that the camera looks at, in B, m.
 const TARGET_M: [f64; 3] = [0.12, 0.0, 0.5];
@@ -30,6 +30,8 @@ const PLATE_Z: (f64, f64) = (0.25, 0.8);
 const LINK_M: f64 = 0.055;
 /// Length of the axes of flange and desired flange, m.
 const AXIS_M: f64 = 0.12;
+/// Place of a gripper's palm on the way from the flange to its fingertips.
+const PALM: f64 = 0.55;
 /// Duration of the flange's trail, s, and its number of points.
 const TRAIL_S: f64 = 10.0;
 const TRAIL_POINTS: u64 = 160;
@@ -293,7 +295,11 @@ impl<'a> Picture<'a> {
             self.painter.circle_filled(to, width * 0.28, edge);
         }
         if let Some(flange) = points.last() {
-            self.axes(*flange, sample.flange_quaternion_world, 3.0, 1.0);
+            if self.axes(*flange, sample.flange_quaternion_world, 3.0, 1.0)
+                && let Some(gripper) = &sample.gripper
+            {
+                self.fingers(*flange, sample.flange_quaternion_world, gripper);
+            }
             let [fx, fy, fz, mx, my, mz] = sample.flange_wrench_world;
             if let Some(to) = tip(*flange, [fx, fy, fz], 1.0, FLANGE_M_PER_N) {
                 self.arrow(*flange, to, theme::FLANGE_WRENCH);
@@ -304,6 +310,22 @@ impl<'a> Picture<'a> {
                 self.arrow(*flange, to, theme::FLANGE_MOMENT);
                 self.arrow(*flange, neck, theme::FLANGE_MOMENT);
             }
+        }
+    }
+
+    /// Draws two fingers and what connects them; they close as those of a Franka Hand.
+    fn fingers(&self, flange: [f64; 3], quaternion: [f64; 4], gripper: &GripperState) {
+        let axes = axes(quaternion);
+        let point = |share: f64, apart_m: f64| -> [f64; 3] {
+            let flange_m =
+                |k: usize| share * gripper.object_flange_m[k] + apart_m * FRANKA_HAND.closing_flange[k];
+            std::array::from_fn(|i| flange[i] + (0..3).map(|k| axes[k][i] * flange_m(k)).sum::<f64>())
+        };
+        let colour = theme::strong(self.visuals);
+        let (wide, half) = (0.5 * gripper.width_max_m, 0.5 * gripper.width_m);
+        self.line(point(PALM, -wide), point(PALM, wide), Stroke::new(3.0, colour));
+        for apart_m in [-half, half] {
+            self.line(point(PALM, apart_m), point(1.0, apart_m), Stroke::new(5.0, colour));
         }
     }
 
