@@ -12,8 +12,8 @@ use std::collections::VecDeque;
 pub const TAXEL_COLUMNS: u32 = 3;
 /// Names of the gripper's joints.
 const FINGERS: [&str; 2] = ["finger_joint1", "finger_joint2"];
-/// Widths over which the fingers' velocity is taken, one for each message: a gripper reports less often than it is shown.
-const WIDTHS: usize = 11;
+/// Time over which the fingers' velocity is taken, ns: a gripper reports less often than it is shown.
+const RATE_NS: u64 = 100_000_000;
 /// Levels of diagnostics.
 const OK: u8 = 0;
 const WARNING: u8 = 1;
@@ -51,15 +51,15 @@ pub fn flange_wrench(sample: &Sample, stamp: Time) -> WrenchStamped {
 pub struct Fingers(VecDeque<(u64, f64)>);
 
 impl Fingers {
-    /// Adds the width at `now_ns` and returns the joints. Each has half of it, m. Its velocity, m/s, is the mean over the latest
-    /// messages; none in the first one. A gripper that does not answer has no joints.
+    /// Adds the width at `now_ns` and returns the joints. Each has half of it, m. Its velocity, m/s, is the mean over
+    /// 0.1 s; none in the first message. A gripper that does not answer has no joints.
     pub fn after(&mut self, now_ns: u64, state: &GripperState, stamp: Time) -> Option<JointState> {
         if state.phase == GripperPhase::Unknown {
             self.0.clear();
             return None;
         }
         self.0.push_back((now_ns, state.width_m));
-        if self.0.len() > WIDTHS {
+        while self.0.front().is_some_and(|(then_ns, _)| then_ns + RATE_NS < now_ns) {
             self.0.pop_front();
         }
         let rate_m_s = self.0.front().and_then(|(then_ns, then_m)| {
@@ -209,6 +209,8 @@ mod tests {
         assert_eq!(fingers.after(310_000_000, &silent, Time::default()), None);
         let again = fingers.after(320_000_000, &moving(0.0), Time::default()).unwrap();
         assert!(again.velocity.is_empty(), "from before it was silent");
+        let late = fingers.after(500_000_000, &moving(0.08), Time::default()).unwrap();
+        assert!(late.velocity.is_empty(), "too long ago");
     }
 
     #[test]
