@@ -160,6 +160,12 @@ class Float64MultiArray(IdlStruct, typename=of("std_msgs", "Float64MultiArray"))
 
 
 @dataclass
+class GripperCommand(IdlStruct, typename=of("control_msgs", "GripperCommand")):
+    position: float64 = 0.0
+    max_effort: float64 = 0.0
+
+
+@dataclass
 class Text(IdlStruct, typename=of("std_msgs", "String")):
     data: str = ""
 

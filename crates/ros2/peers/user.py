@@ -9,11 +9,13 @@ import time
 STRING, EMPTY = "std_msgs/msg/String", "std_msgs/msg/Empty"
 POSE, WRENCH = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/WrenchStamped"
 TWIST, STAMPED, VECTOR = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped", "geometry_msgs/msg/Vector3"
+GRIPPER, FINGERS = "control_msgs/msg/GripperCommand", "/moca/gripper/joint_states"
 HEADER, TIME, PLACE = "std_msgs/msg/Header", "builtin_interfaces/msg/Time", "geometry_msgs/msg/Pose"
 SHOWN = {
     "/tf": "tf2_msgs/msg/TFMessage", "/tf_static": "tf2_msgs/msg/TFMessage", "/joint_states": "sensor_msgs/msg/JointState",
     "/moca/cover_wrench": WRENCH, "/moca/flange_wrench": WRENCH, "/moca/flange": POSE,
     "/moca/taxels": "std_msgs/msg/Float64MultiArray", "/diagnostics": "diagnostic_msgs/msg/DiagnosticArray"}
+HELD = {FINGERS: "sensor_msgs/msg/JointState", "/moca/gripper/state": "diagnostic_msgs/msg/DiagnosticStatus"}
 
 
 class User:
@@ -22,7 +24,8 @@ class User:
     def __init__(self, node, topics):
         self.node = node
         self.readers = {topic: node.reader(topic, name) for topic, name in topics.items()}
-        told = {"target_pose": POSE, "target_twist": STAMPED, "cmd_vel": TWIST, "cmd_vel_stamped": STAMPED, "alive": EMPTY}
+        told = {"target_pose": POSE, "target_twist": STAMPED, "cmd_vel": TWIST, "cmd_vel_stamped": STAMPED, "alive": EMPTY,
+                "gripper/command": GRIPPER}
         self.writers = {topic: node.writer("/moca/" + topic, name) for topic, name in told.items()}
         self.refusals, self.counts, self.last, self.base, self.yaw = [], {}, {}, None, 0.0
 
@@ -87,6 +90,14 @@ class User:
 
     def live(self):
         self.writers["alive"](self.node.made(EMPTY, 0))
+
+    def close_to(self, width_m, force_n=0.0):
+        self.writers["gripper/command"](self.node.made(GRIPPER, 0.5 * width_m, force_n))
+
+    def gripper(self):
+        """Its values, by name, and the fingers' distance."""
+        values = {value.key: value.value for value in self.last["/moca/gripper/state"].values}
+        return values, sum(self.last[FINGERS].position)
 
     def led_along(self, frame, axis):
         """Leads the flange 20 mm along y of a frame, which is `axis` in the world."""
@@ -220,6 +231,58 @@ def lead(node, peer, daemon):
     assert user.call("arm")[0]
     user.until(lambda: user.mode() == "follow-me", lambda: user.twist(0.0), "armed again")
     # The node dies between two targets.
+    user.until(lambda: user.mode() == "protective stop", lambda: None, "stopped when nobody leads it any more")
+
+
+def grasp(node, daemon):
+    """The gripper of a robot that armed itself and goes on by itself: it is never stopped for a node that asked the fingers."""
+    user = User(node, SHOWN | HELD | {"/moca/target_refused": STRING})
+    user.hear(8)
+    last, width_m = user.gripper()
+    assert (last["phase"], last["holds"], last["fault"]) == ("resting", "false", ""), last
+    assert list(user.last[FINGERS].name) == ["finger_joint1", "finger_joint2"] and abs(width_m - 0.08) < 1e-6, width_m
+
+    def ends(phase, width_m, asked):
+        user.hear(1.0)
+        asked()
+        rests = lambda: user.gripper()[0]["phase"] == phase and abs(user.gripper()[1] - width_m) < 1e-6
+        user.until(rests, lambda: None, f"{phase} at {width_m} m")
+        print(f"  {phase} at {width_m} m:", user.gripper()[0], flush=True)
+
+    velocities = []
+
+    def moves():
+        user.close_to(0.06)
+        user.until(lambda: velocities.extend(user.last[FINGERS].velocity) or user.gripper()[1] < 0.0601, lambda: None, "closing")
+    ends("resting", 0.06, moves)
+    assert min(velocities) < -0.02 and abs(min(velocities) + 0.025) < 2e-3, min(velocities)
+    ends("holding", 0.05, lambda: user.close_to(0.05, 40.0))
+    assert user.gripper()[0]["holds"] == "true" and user.gripper()[0]["object, kg"] == "0"
+    user.refused(lambda: user.close_to(0.09), "gripper/command: width of the gripper = 0.09 m; allowed: 0 to 0.08 m")
+    user.refused(lambda: user.close_to(0.05, float("nan")), "force of the gripper = NaN N; allowed: 1 to 70 N")
+    assert user.gripper()[0]["holds"] == "true", "a refused request changes nothing"
+    assert user.call("gripper/stop")[0]
+    user.hear(0.5)
+    assert user.gripper()[0]["holds"] == "true", "nor does a stop of the fingers let go"
+    # Nobody has shown life for longer than a commander may be silent, and the command is free.
+    user.hear(5)
+    assert user.mode() == "follow-me", user.robot()
+    assert daemon("gripper", "move", "0.07").wait(60) == 0, "the command was given back"
+    ends("resting", 0.08, lambda: user.call("gripper/release"))
+    ends("resting", 0.05, lambda: user.close_to(0.02))
+    state = user.last["/moca/gripper/state"]
+    assert (state.level, user.gripper()[0]["fault"]) == (1, "fingers-blocked") and "Take away" in state.message, state
+    ends("resting", 0.08, lambda: user.call("gripper/release"))
+    # The cube stands between the fingers.
+    ends("resting", 0.05, lambda: user.call("gripper/home"))
+
+    # Whoever leads keeps the command, and loses it like anybody.
+    for step in range(40):
+        user.twist(0.0)
+        if step == 20:
+            user.close_to(0.07)
+        user.hear()
+    assert daemon("gripper", "move", "0.06", stderr=subprocess.DEVNULL).wait(60) != 0, "a node leads"
     user.until(lambda: user.mode() == "protective stop", lambda: None, "stopped when nobody leads it any more")
 
 

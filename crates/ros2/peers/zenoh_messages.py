@@ -37,6 +37,7 @@ FIELDS = {
     DIMENSION: "string label\nuint32 size\nuint32 stride",
     LAYOUT: f"{DIMENSION}[] dim\nuint32 data_offset",
     "std_msgs/msg/Float64MultiArray": f"{LAYOUT} layout\nfloat64[] data",
+    "control_msgs/msg/GripperCommand": "float64 position\nfloat64 max_effort",
     "std_msgs/msg/String": "string data",
     "std_msgs/msg/Empty": NOTHING,
     EVENT: f"uint8 event_type\n{TIME} stamp\nuint8[16] client_gid\nint64 sequence_number",

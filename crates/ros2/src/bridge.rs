@@ -2,22 +2,23 @@
 //! who may command is decided where it always is.
 //!
 //! Out: what every viewer is shown (`/tf`, `/tf_static`, `/joint_states`, `/robot_description`, poses, cover wrench) and
-//! [`crate::outputs`]. In: services that ask the loop, targets ([`crate::inputs`]), and signs of life. Whoever armed the robot
-//! over ROS, or leads it, has to be heard from: any call and any target counts, and any message on `alive`; without one the
-//! daemon takes the command away and a moving robot stops. The bridge itself never vouches for anybody.
+//! [`crate::outputs`]. In: services that ask the loop, targets and motions of a gripper ([`crate::inputs`]), and signs of life.
+//! Whoever armed the robot over ROS, or leads it, has to be heard from: any call and any target counts, and any message on
+//! `alive`; without one the daemon takes the command away and a moving robot stops. The bridge itself never vouches for anybody.
+//! A request to the gripper takes the command only until it is answered, unless a node armed the robot or leads it.
 //!
-//! A topic gives no answer: why a target is refused is told on `target_refused`.
+//! A topic gives no answer: why a target or a motion of the gripper is refused is told on `target_refused`.
 
 use crate::cdr;
 use crate::inputs::{self, Leader};
 use crate::messages::{
-    DiagnosticArray, Empty, Float64MultiArray, PoseStamped, Text, Time, TriggerResponse, Twist, TwistStamped,
-    WrenchStamped,
+    DiagnosticArray, DiagnosticStatus, Empty, Float64MultiArray, GripperCommand, JointState, PoseStamped,
+    Text, Time, TriggerResponse, Twist, TwistStamped, WrenchStamped,
 };
 use crate::outputs;
 use crate::transport::{Caller, Qos, ReaderId, ServiceId, Transport, TransportError, WriterId, unix_ns};
 use crate::{Message, TypeName};
-use moca_msgs::{Outcome, Request, Sample, TimedTarget};
+use moca_msgs::{GripperRequest, Outcome, Request, Sample, TimedTarget};
 use moca_telemetry::RobotDescription;
 use moca_telemetry::display::{Display, Periods, Sink};
 use moca_telemetry::log::{LogError, records::Channel};
@@ -51,7 +52,12 @@ const SERVICES: &[(&str, Request)] = &[
     ("resume", Request::Resume),
     ("end_target", Request::EndTarget),
     ("recentre", Request::Recentre),
+    ("gripper/home", Request::Gripper(GripperRequest::Home)),
+    ("gripper/release", Request::Gripper(GripperRequest::Release)),
+    ("gripper/stop", Request::Gripper(GripperRequest::Stop)),
 ];
+/// Topic of motions of the gripper.
+const GRIPPER: &str = "gripper/command";
 /// The network is asked so often whether there is one.
 const LOOK_AFTER: Duration = Duration::from_secs(1);
 /// A refusal is told again after this at the earliest, unless it is another one.
@@ -73,8 +79,11 @@ pub struct Bridge {
     writers: BTreeMap<&'static str, WriterId>,
     taxels: WriterId,
     wrench: WriterId,
+    fingers: WriterId,
+    gripper_state: WriterId,
     diagnostics: WriterId,
     alive: ReaderId,
+    gripper: ReaderId,
     targets: Vec<Input>,
     leader: Leader,
     refused: WriterId,
@@ -102,6 +111,7 @@ struct Shown {
     session: u64,
     robot: Arc<RobotDescription>,
     display: Display,
+    fingers: outputs::Fingers,
     next_numbers_ns: u64,
     next_diagnostics_ns: u64,
 }
@@ -118,8 +128,13 @@ impl Bridge {
         let name = |name: &str| format!("{}/{name}", settings.prefix);
         let taxels = transport.writer(&name("taxels"), Float64MultiArray::TYPE, Qos::Reliable)?;
         let wrench = transport.writer(&name("flange_wrench"), WrenchStamped::TYPE, Qos::Reliable)?;
+        let fingers = transport.writer(&name("gripper/joint_states"), JointState::TYPE, Qos::Reliable)?;
+        let gripper_state =
+            transport.writer(&name("gripper/state"), DiagnosticStatus::TYPE, Qos::Reliable)?;
         let diagnostics = transport.writer("/diagnostics", DiagnosticArray::TYPE, Qos::Reliable)?;
         let alive = transport.reader(&name("alive"), Empty::TYPE, Qos::BestEffort)?;
+        // Of a command that is sent once nothing may be lost.
+        let gripper = transport.reader(&name(GRIPPER), GripperCommand::TYPE, Qos::Reliable)?;
         let refused = transport.writer(&name("target_refused"), Text::TYPE, Qos::Reliable)?;
         let mut targets = Vec::new();
         for (topic, of, read) in inputs() {
@@ -136,8 +151,11 @@ impl Bridge {
             writers: BTreeMap::new(),
             taxels,
             wrench,
+            fingers,
+            gripper_state,
             diagnostics,
             alive,
+            gripper,
             targets,
             leader: Leader::default(),
             refused,
@@ -198,6 +216,15 @@ impl Bridge {
                 self.waiting.push((request, service, caller));
             }
         }
+        while let Some((_, payload)) = self.transport.take_from_node(self.gripper) {
+            match decoded(&payload) {
+                Ok(command) => {
+                    daemon.alive();
+                    daemon.request(Request::Gripper(inputs::gripper(&command)));
+                }
+                Err(why) => self.refuse(&format!("{GRIPPER}: {why}")),
+            }
+        }
     }
 
     /// Targets go to the daemon; they are signs of life of the node that leads.
@@ -230,6 +257,17 @@ impl Bridge {
         if let (Request::Target(timed), Err(refusal)) = (reply.request, reply.outcome) {
             let why = reply.request.refused(refusal);
             return self.refuse(&format!("{}: {why}", timed.target.kind().name()));
+        }
+        if let Request::Gripper(asked) = reply.request {
+            // Arm and base do without this node as before: another client may want them. Who waits for an answer may have armed.
+            let others = self.waiting.iter().any(|(request, ..)| !matches!(request, Request::Gripper(_)));
+            if !(self.armed || others || self.leader.leads(Instant::now())) {
+                daemon.release();
+            }
+            let is_motion = matches!(asked, GripperRequest::Move { .. } | GripperRequest::Grasp { .. });
+            if let (true, Err(refusal)) = (is_motion, reply.outcome) {
+                return self.refuse(&format!("{GRIPPER}: {}", reply.request.refused(refusal)));
+            }
         }
         let asked = self.waiting.iter().position(|(request, ..)| *request == reply.request);
         let Some((request, service, caller)) = asked.map(|i| self.waiting.remove(i)) else { return };
@@ -265,8 +303,8 @@ impl Bridge {
         };
         display.begin(&mut to)?;
         let robot = Arc::clone(robot);
-        let (next_numbers_ns, next_diagnostics_ns) = (0, 0);
-        self.shown = Some(Shown { session, robot, display, next_numbers_ns, next_diagnostics_ns });
+        let (fingers, next_numbers_ns, next_diagnostics_ns) = Default::default();
+        self.shown = Some(Shown { session, robot, display, fingers, next_numbers_ns, next_diagnostics_ns });
         Ok(())
     }
 
@@ -292,6 +330,13 @@ impl Bridge {
                 if !sample.q_rad.is_empty() {
                     let wrench = outputs::flange_wrench(sample, stamp.clone());
                     send(self.transport.as_mut(), self.wrench, &wrench);
+                }
+                if let Some(state) = &sample.gripper {
+                    if let Some(joints) = shown.fingers.after(now_ns, state, stamp.clone()) {
+                        send(self.transport.as_mut(), self.fingers, &joints);
+                    }
+                    let state = outputs::gripper(&shown.robot.name, state);
+                    send(self.transport.as_mut(), self.gripper_state, &state);
                 }
             }
             if now_ns >= shown.next_diagnostics_ns {
@@ -401,6 +446,12 @@ mod tests {
         Bridge::new(Box::new(memory), settings).unwrap()
     }
 
+    /// A daemon that does not run: every request has the answer that there is none.
+    fn nobody(test: &str) -> Connection {
+        let nowhere = std::env::temp_dir().join(format!("moca-ros2-{}-{test}.sock", std::process::id()));
+        Connection::spawn(Address::Unix(nowhere), || {}).unwrap()
+    }
+
     #[test]
     fn who_sends_what_cannot_be_read_does_not_take_the_lead() {
         let sent = |node: &str, frame_id: &str, x| {
@@ -419,9 +470,7 @@ mod tests {
             sent("planner", "world", 0.3),
         ];
         let mut bridge = bridge(Memory { from_nodes, ..Memory::default() });
-        // A daemon that there is not answers every request so.
-        let nowhere = std::env::temp_dir().join(format!("moca-ros2-{}-nobody.sock", std::process::id()));
-        let daemon = Connection::spawn(Address::Unix(nowhere), || {}).unwrap();
+        let daemon = nobody("lead");
         bridge.lead(&daemon);
         let asked = daemon.poll().replies.into_iter().map(|reply| reply.request);
         let wanted = [0.1, 0.3].map(|x| {
@@ -429,6 +478,61 @@ mod tests {
             Request::Target(TimedTarget::new(Target::Twist { axes: TwistAxes::World, twist }))
         });
         assert_eq!(asked.collect::<Vec<_>>(), wanted, "what the planner wants, and it alone");
+    }
+
+    #[test]
+    fn motion_of_the_gripper_is_asked_and_its_refusal_is_told() {
+        let sent = |position, max_effort| {
+            let payload = cdr::encode(&GripperCommand { position, max_effort });
+            ("/moca/gripper/command".to_owned(), b"planner".to_vec(), payload)
+        };
+        let mut cut = sent(0.02, 0.0);
+        cut.2.truncate(12);
+        let (heard, written) = mpsc::channel();
+        let from_nodes = vec![cut, sent(0.02, 0.0), sent(0.025, 40.0)];
+        let mut bridge = bridge(Memory { from_nodes, heard: Some(heard), ..Memory::default() });
+        let daemon = nobody("gripper");
+        bridge.ask(&daemon);
+        let replies = daemon.poll().replies;
+        let (speed_m_s, tolerance_m, mass_kg) = (0.05, 0.005, 0.0);
+        let grasp = GripperRequest::Grasp { width_m: 0.05, speed_m_s, force_n: 40.0, tolerance_m, mass_kg };
+        let wanted = [GripperRequest::Move { width_m: 0.04, speed_m_s }, grasp].map(Request::Gripper);
+        assert_eq!(replies.iter().map(|reply| reply.request).collect::<Vec<_>>(), wanted);
+        for reply in &replies {
+            bridge.answer(reply, &daemon);
+        }
+        bridge.answer(&Reply { outcome: Ok(()), ..replies[0] }, &daemon);
+        let told: Vec<_> =
+            written.try_iter().map(|payload| cdr::decode::<Text>(&payload).unwrap().data).collect();
+        assert!(told.len() == 2 && told[0].starts_with("gripper/command: "), "{told:?}");
+        let no_answer = wanted[1].refused(moca_msgs::Refusal::NoAnswer);
+        assert_eq!(told[1], format!("gripper/command: {no_answer}"), "both in the same words, so once");
+    }
+
+    #[test]
+    fn fingers_and_state_are_sent_with_the_numbers() {
+        let (heard, written) = mpsc::channel();
+        let mut bridge = bridge(Memory { heard: Some(heard), ..Memory::default() });
+        let robot = Arc::new(RobotDescription::paper("test", true));
+        let start = 1_790_000_000 * SECOND;
+        let gripper = Some(moca_msgs::GripperState { width_m: 0.05, ..Default::default() });
+        for (gripper, sent) in [(None, 0), (gripper, 10)] {
+            let sample = |time_ns| Sample { time_ns, gripper, ..Sample::default() };
+            bridge.begin(1, &robot, &sample(0), start).unwrap();
+            for ms in 0..100 {
+                bridge.show(&[sample(ms * MS)], start + ms * MS).unwrap();
+            }
+            let payloads: Vec<_> = written.try_iter().collect();
+            let joints = payloads.iter().filter_map(|payload| cdr::decode::<JointState>(payload).ok());
+            let fingers: Vec<_> =
+                joints.filter(|joints| joints.name == ["finger_joint1", "finger_joint2"]).collect();
+            let states = payloads.iter().filter_map(|payload| cdr::decode::<DiagnosticStatus>(payload).ok());
+            assert_eq!((fingers.len(), states.count()), (sent, sent));
+            assert!(fingers.iter().all(|joints| joints.position == [0.025; 2]));
+            assert!(fingers.iter().enumerate().all(|(at, joints)| {
+                joints.header.stamp.unix_ns() == start + 10 * MS * u64::try_from(at).unwrap()
+            }));
+        }
     }
 
     #[test]

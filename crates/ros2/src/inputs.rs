@@ -1,15 +1,19 @@
-//! Targets from ROS nodes: what a message asks for, and which node leads.
+//! Targets and motions of a gripper from ROS nodes: what a message asks for, and which node leads.
 //!
 //! One node leads at a time, as one client commands: a target of another one is refused until the first has been silent for
 //! as long as a commander may be. Whether the bridge may command at all is the daemon's to say.
 
-use crate::messages::{PoseStamped, Time, Twist, TwistStamped, Vector3};
-use moca_msgs::{Target, TimedTarget, TouchPolicy, TwistAxes};
+use crate::messages::{GripperCommand, PoseStamped, Time, Twist, TwistStamped, Vector3};
+use moca_msgs::{GripperRequest, Target, TimedTarget, TouchPolicy, TwistAxes};
 use moca_telemetry::net::wire::COMMAND_LEASE;
 use std::time::Instant;
 
 /// The frame of W.
 const WORLD: &str = "world";
+/// Change of the distance between a gripper's fingers, m/s: a [`GripperCommand`] has no field for it.
+const FINGERS_M_S: f64 = 0.05;
+/// Tolerance of a grasp's width, m; no field either.
+const GRASP_TOLERANCE_M: f64 = 0.005;
 
 /// The flange at a pose, in the frame `world`.
 ///
@@ -54,6 +58,16 @@ pub fn base(Twist { linear, angular }: &Twist) -> Result<TimedTarget, String> {
     Ok(TimedTarget { touch: TouchPolicy::PassThrough, ..TimedTarget::new(target) })
 }
 
+/// A motion of a gripper, whose position is that of each finger: half the distance between them. With an effort it is a
+/// grasp with that force, without one it only moves the fingers.
+pub fn gripper(&GripperCommand { position, max_effort: force_n }: &GripperCommand) -> GripperRequest {
+    let (width_m, speed_m_s) = (2.0 * position, FINGERS_M_S);
+    if force_n == 0.0 {
+        return GripperRequest::Move { width_m, speed_m_s };
+    }
+    GripperRequest::Grasp { width_m, speed_m_s, force_n, tolerance_m: GRASP_TOLERANCE_M, mass_kg: 0.0 }
+}
+
 /// A stamp of 0 is none: it counts from its arrival.
 fn stamped(target: Target, stamp: &Time) -> TimedTarget {
     TimedTarget { stamp_unix_ns: stamp.unix_ns(), ..TimedTarget::new(target) }
@@ -76,13 +90,16 @@ impl Leader {
     /// assert!(leader.takes(b"teleoperation", now + Duration::from_secs(4)), "the planner has gone");
     /// ```
     pub fn takes(&mut self, who: &[u8], now: Instant) -> bool {
-        let other = self.0.as_ref().is_some_and(|(leader, heard)| {
-            leader != who && now.saturating_duration_since(*heard) < COMMAND_LEASE
-        });
+        let other = self.leads(now) && self.0.as_ref().is_some_and(|(leader, _)| leader != who);
         if !other {
             self.0 = Some((who.to_vec(), now));
         }
         !other
+    }
+
+    /// Returns true if a node leads.
+    pub fn leads(&self, now: Instant) -> bool {
+        self.0.as_ref().is_some_and(|(_, heard)| now.saturating_duration_since(*heard) < COMMAND_LEASE)
     }
 
     /// Nobody does.
@@ -95,9 +112,37 @@ impl Leader {
 mod tests {
     use super::*;
     use crate::messages::{Header, Pose};
+    use moca_msgs::gripper::FRANKA_HAND;
 
     fn header(frame_id: &str) -> Header {
         Header { stamp: Time { sec: 1_700_000_000, nanosec: 5 }, frame_id: frame_id.into() }
+    }
+
+    #[test]
+    fn effort_makes_a_grasp_of_a_motion() {
+        let asked = |position, max_effort| gripper(&GripperCommand { position, max_effort });
+        assert_eq!(asked(0.04, 0.0), GripperRequest::Move { width_m: 0.08, speed_m_s: 0.05 });
+        let (width_m, speed_m_s, tolerance_m, mass_kg) = (0.05, 0.05, 0.005, 0.0);
+        let grasp = GripperRequest::Grasp { width_m, speed_m_s, force_n: 40.0, tolerance_m, mass_kg };
+        assert_eq!(asked(0.025, 40.0), grasp);
+        for (position, max_effort, said) in [
+            (0.08, 0.0, "width of the gripper = 0.16 m; allowed: 0 to 0.08 m"),
+            (f64::NAN, 0.0, "width of the gripper = NaN m; allowed: 0 to 0.08 m"),
+            (0.025, f64::NAN, "force of the gripper = NaN N; allowed: 1 to 70 N"),
+            (0.025, -40.0, "force of the gripper = -40 N; allowed: 1 to 70 N"),
+        ] {
+            assert_eq!(asked(position, max_effort).check(&FRANKA_HAND).unwrap_err().to_string(), said);
+        }
+    }
+
+    #[test]
+    fn node_leads_until_it_has_been_silent_or_is_released() {
+        let (mut leader, now) = (Leader::default(), Instant::now());
+        assert!(!leader.leads(now));
+        assert!(leader.takes(b"planner", now));
+        assert!(leader.leads(now + COMMAND_LEASE / 2) && !leader.leads(now + COMMAND_LEASE));
+        leader.release();
+        assert!(!leader.leads(now));
     }
 
     #[test]

@@ -1,14 +1,19 @@
 //! Messages for ROS users on top of what every viewer is shown: taxel forces with validity and age, the flange's
-//! wrench, diagnostics. Frames are those of the robot's URDF.
+//! wrench, the gripper, diagnostics. Frames are those of the robot's URDF.
 
 use crate::messages::{
-    DiagnosticArray, DiagnosticStatus, Float64MultiArray, Header, KeyValue, MultiArrayDimension,
+    DiagnosticArray, DiagnosticStatus, Float64MultiArray, Header, JointState, KeyValue, MultiArrayDimension,
     MultiArrayLayout, Time, Vector3, Wrench, WrenchStamped,
 };
-use moca_msgs::{Mode, Sample, TaxelStatus};
+use moca_msgs::{GripperFault, GripperPhase, GripperState, Mode, Sample, TaxelStatus, seconds};
+use std::collections::VecDeque;
 
 /// Columns of [`taxels`].
 pub const TAXEL_COLUMNS: u32 = 3;
+/// Names of the gripper's joints.
+const FINGERS: [&str; 2] = ["finger_joint1", "finger_joint2"];
+/// Time over which the fingers' velocity is taken, ns: a gripper reports less often than it is shown.
+const RATE_NS: u64 = 100_000_000;
 /// Levels of diagnostics.
 const OK: u8 = 0;
 const WARNING: u8 = 1;
@@ -41,16 +46,67 @@ pub fn flange_wrench(sample: &Sample, stamp: Time) -> WrenchStamped {
     WrenchStamped { header: Header { stamp, frame_id: "flange".into() }, wrench }
 }
 
-/// Supervisor, cover and loop.
-pub fn diagnostics(name: &str, sample: &Sample, stamp: Time) -> DiagnosticArray {
-    let status = |part: &str, level, message: String, values: Vec<KeyValue>| DiagnosticStatus {
-        level,
-        name: format!("moca: {part}"),
-        message,
-        hardware_id: name.into(),
-        values,
+/// The fingers as two joints, by the latest widths between them.
+#[derive(Debug, Default)]
+pub struct Fingers(VecDeque<(u64, f64)>);
+
+impl Fingers {
+    /// Adds the width at `now_ns` and returns the joints. Each has half of it, m. Its velocity, m/s, is the mean over
+    /// 0.1 s; none in the first message. A gripper that does not answer has no joints.
+    pub fn after(&mut self, now_ns: u64, state: &GripperState, stamp: Time) -> Option<JointState> {
+        if state.phase == GripperPhase::Unknown {
+            self.0.clear();
+            return None;
+        }
+        self.0.push_back((now_ns, state.width_m));
+        while self.0.front().is_some_and(|(then_ns, _)| then_ns + RATE_NS < now_ns) {
+            self.0.pop_front();
+        }
+        let rate_m_s = self.0.front().and_then(|(then_ns, then_m)| {
+            let passed_s = seconds(now_ns.saturating_sub(*then_ns));
+            (passed_s > 0.0).then(|| (state.width_m - then_m) / passed_s)
+        });
+        Some(JointState {
+            header: Header { stamp, frame_id: String::new() },
+            name: FINGERS.map(Into::into).to_vec(),
+            position: vec![0.5 * state.width_m; FINGERS.len()],
+            velocity: rate_m_s.map_or_else(Vec::new, |rate_m_s| vec![0.5 * rate_m_s; FINGERS.len()]),
+            effort: Vec::new(),
+        })
+    }
+}
+
+/// State of the gripper of the robot `name`. A fault is a warning with its remedy; a gripper that does not answer is an error.
+pub fn gripper(name: &str, state: &GripperState) -> DiagnosticStatus {
+    let level = match state.fault {
+        _ if state.phase == GripperPhase::Unknown => ERROR,
+        Some(_) => WARNING,
+        None => OK,
     };
-    let value = |key: &str, value: String| KeyValue { key: key.into(), value };
+    let values = vec![
+        value("phase", state.phase.name().into()),
+        value("holds", state.is_holding().to_string()),
+        value("object, kg", state.object_kg.to_string()),
+        value("width, m", state.width_m.to_string()),
+        value("largest width, m", state.width_max_m.to_string()),
+        value("fault", state.fault.map_or("", GripperFault::code).into()),
+    ];
+    let text = state.fault.map_or_else(String::new, |fault| fault.to_string());
+    status(name, "gripper", level, text, values)
+}
+
+fn value(key: &str, value: String) -> KeyValue {
+    KeyValue { key: key.into(), value }
+}
+
+/// Status of a part of the robot `name`.
+fn status(name: &str, part: &str, level: u8, message: String, values: Vec<KeyValue>) -> DiagnosticStatus {
+    DiagnosticStatus { level, name: format!("moca: {part}"), message, hardware_id: name.into(), values }
+}
+
+/// Supervisor, cover, gripper and loop.
+pub fn diagnostics(name: &str, sample: &Sample, stamp: Time) -> DiagnosticArray {
+    let status = |part: &str, level, message, values| status(name, part, level, message, values);
     let robot = match sample.fault {
         Some(fault) => {
             let text = format!("{} {}", fault.text(), fault.remedy());
@@ -73,6 +129,7 @@ pub fn diagnostics(name: &str, sample: &Sample, stamp: Time) -> DiagnosticArray 
         let level = if bad > 0 || sample.frame_age_s < 0.0 { ERROR } else { OK };
         parts.push(status("cover", level, sample.board.text().into(), values));
     }
+    parts.extend(sample.gripper.as_ref().map(|state| gripper(name, state)));
     let values = vec![
         value("slots missed", sample.overruns.to_string()),
         value("lateness, s", sample.lateness_s.to_string()),
@@ -129,6 +186,61 @@ mod tests {
         let near =
             |v: Vector3, wanted: [f64; 3]| v.array().iter().zip(wanted).all(|(a, b)| (a - b).abs() < 1e-12);
         assert!(near(wrench.force, [5.0, 0.0, 0.0]) && near(wrench.torque, [0.0, -1.0, 0.0]));
+    }
+
+    fn moving(width_m: f64) -> GripperState {
+        GripperState { width_m, width_max_m: 0.08, phase: GripperPhase::Moving, ..GripperState::default() }
+    }
+
+    #[test]
+    fn fingers_have_half_the_width_and_its_rate() {
+        let mut fingers = Fingers::default();
+        let first = fingers.after(0, &moving(0.08), Time::default()).unwrap();
+        assert_eq!(first.name, ["finger_joint1", "finger_joint2"]);
+        assert_eq!((first.position, first.velocity), (vec![0.04; 2], vec![]), "one width has no rate");
+        // The gripper reports every second message; the rate is that of the motion all the same.
+        let mut velocity = vec![];
+        for tick in 1..=30_u32 {
+            let state = moving(0.08 - 1e-3 * f64::from(tick / 2));
+            velocity = fingers.after(u64::from(tick) * 10_000_000, &state, Time::default()).unwrap().velocity;
+        }
+        assert!(velocity.len() == 2 && velocity.iter().all(|v| (v + 0.025).abs() < 1e-9), "{velocity:?}");
+        let silent = GripperState { phase: GripperPhase::Unknown, ..moving(0.065) };
+        assert_eq!(fingers.after(310_000_000, &silent, Time::default()), None);
+        let again = fingers.after(320_000_000, &moving(0.0), Time::default()).unwrap();
+        assert!(again.velocity.is_empty(), "from before it was silent");
+        let late = fingers.after(500_000_000, &moving(0.08), Time::default()).unwrap();
+        assert!(late.velocity.is_empty(), "too long ago");
+    }
+
+    #[test]
+    fn gripper_tells_phase_object_and_fault_with_its_remedy() {
+        let held = GripperState { phase: GripperPhase::Holding, object_kg: 0.5, ..moving(0.05) };
+        let said = gripper("lab", &held);
+        let values: Vec<_> = said.values.iter().map(|one| (one.key.as_str(), one.value.as_str())).collect();
+        assert_eq!(
+            values,
+            [
+                ("phase", "holding"),
+                ("holds", "true"),
+                ("object, kg", "0.5"),
+                ("width, m", "0.05"),
+                ("largest width, m", "0.08"),
+                ("fault", ""),
+            ]
+        );
+        assert_eq!((said.level, said.message.as_str(), said.hardware_id.as_str()), (OK, "", "lab"));
+        let lost = GripperState { fault: Some(GripperFault::Lost), ..moving(0.01) };
+        let silent =
+            GripperState { phase: GripperPhase::Unknown, fault: Some(GripperFault::Unplugged), ..held };
+        for (state, level, code) in [(lost, WARNING, "object-lost"), (silent, ERROR, "gripper-unplugged")] {
+            let said = gripper("lab", &state);
+            assert_eq!((said.level, said.values[5].value.as_str()), (level, code));
+            assert_eq!(said.message, state.fault.unwrap().to_string());
+            let sample = Sample { gripper: Some(state), ..Sample::default() };
+            assert_eq!(diagnostics("lab", &sample, Time::default()).status[1], said);
+        }
+        assert_eq!(diagnostics("lab", &Sample::default(), Time::default()).status.len(), 2, "no gripper");
     }
 
     #[test]

@@ -16,8 +16,8 @@
 //! ```
 
 use crate::messages::{
-    DiagnosticArray, Empty, Float64MultiArray, JointState, Odometry, PoseStamped, TFMessage, Text, Twist,
-    TwistStamped, WrenchStamped,
+    DiagnosticArray, DiagnosticStatus, Empty, Float64MultiArray, GripperCommand, JointState, Odometry,
+    PoseStamped, TFMessage, Text, Twist, TwistStamped, WrenchStamped,
 };
 use crate::transport::{Endpoint, Qos};
 use crate::{Message, TypeName};
@@ -31,7 +31,7 @@ pub const ATTACHMENT_BYTES: usize = 33;
 pub const GID_BYTES: usize = 16;
 
 /// RIHS01 of messages and services (REP-2016), by their definitions in every distribution since Iron.
-const HASHES: [(TypeName, &str); 13] = [
+const HASHES: [(TypeName, &str); 15] = [
     (Twist::TYPE, "RIHS01_9c45bf16fe0983d80e3cfe750d6835843d265a9a6c46bd2e609fcddde6fb8d2a"),
     (TwistStamped::TYPE, "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64"),
     (Odometry::TYPE, "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0"),
@@ -43,6 +43,8 @@ const HASHES: [(TypeName, &str); 13] = [
     (Float64MultiArray::TYPE, "RIHS01_1025ddc6b9552d191f89ef1a8d2f60f3d373e28b283d8891ddcc974e8c55397f"),
     (Text::TYPE, "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18"),
     (Empty::TYPE, "RIHS01_20b625256f32d5dbc0d04fee44f43c41e51c70d3502f84b4a08e7a9c26a96312"),
+    (DiagnosticStatus::TYPE, "RIHS01_b0e3e692ea2d54a8af2f4ef1930e81556a2db55216b771f8a7d2724ed47bf0e4"),
+    (GripperCommand::TYPE, "RIHS01_57eb8f326c9889ca8bb34ead82cc94cc09bf6bc5c3b6c09546dca3a00b589890"),
     (MARKERS, "RIHS01_86cb8800b6fb05b5eff1abd7a56f62a5641d3ae9a1c29e78e67e704f1d067dcf"),
     (TRIGGER, "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"),
 ];

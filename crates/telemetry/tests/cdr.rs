@@ -123,6 +123,7 @@ fn messages_are_those_of_another_implementation_to_the_byte() {
     check(&diagnostics());
     check(&array());
     check(&Float64 { data: 0.2 });
+    check(&GripperCommand { position: 0.025, max_effort: 40.0 });
     check(&Text { data: "ein Gruß".into() });
     check(&TriggerRequest::default());
     check(&TriggerResponse { success: true, message: "ready".into() });

@@ -221,11 +221,11 @@ message! { "sensor_msgs/msg/JointState" =
         header: Header,
         /// Names.
         name: Vec<String>,
-        /// rad.
+        /// rad, or m of a joint that slides.
         position: Vec<f64>,
-        /// rad/s.
+        /// rad/s or m/s.
         velocity: Vec<f64>,
-        /// N·m.
+        /// N·m or N.
         effort: Vec<f64>,
     }
 }
@@ -259,6 +259,15 @@ message! { "std_msgs/msg/Float64" =
     pub struct Float64 {
         /// The number.
         data: f64,
+    }
+}
+message! { "control_msgs/msg/GripperCommand" =
+    /// A motion of a gripper.
+    pub struct GripperCommand {
+        /// m.
+        position: f64,
+        /// N.
+        max_effort: f64,
     }
 }
 message! { "std_msgs/msg/String" =

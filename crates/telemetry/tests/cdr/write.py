@@ -10,6 +10,7 @@ store = get_typestore(Stores.ROS2_JAZZY)
 SRV = "std_srvs/msg/"  # the layout is that of srv
 store.register(get_types_from_msg("uint8 structure_needs_at_least_one_member", SRV + "Trigger_Request"))
 store.register(get_types_from_msg("bool success\nstring message", SRV + "Trigger_Response"))
+store.register(get_types_from_msg("float64 position\nfloat64 max_effort", "control_msgs/msg/GripperCommand"))
 T = store.types
 
 
@@ -54,6 +55,7 @@ MESSAGES = {
     "Float64MultiArray": make("std_msgs/msg/Float64MultiArray", make("std_msgs/msg/MultiArrayLayout", [dim], 0),
                               numbers(1.0, 2.0, 3.0)),
     "Float64": make("std_msgs/msg/Float64", 0.2),
+    "GripperCommand": make("control_msgs/msg/GripperCommand", 0.025, 40.0),
     "String": make("std_msgs/msg/String", "ein Gruß"),
     "Trigger_Request": make(SRV + "Trigger_Request", 0),
     "Trigger_Response": make(SRV + "Trigger_Response", True, "ready"),
