@@ -155,7 +155,7 @@ impl Client {
         let (waypoints, touch) = (waypoints(&rows)?, policy(touch)?);
         self.connection()?.trajectory(touch, waypoints);
         let Reply { request, outcome } =
-            self.answer(py, |request| matches!(request, Request::Waypoint { .. }))?;
+            self.answer(py, |reply| matches!(reply.request, Request::Waypoint { .. }))?;
         answered(request, outcome)
     }
 
@@ -223,9 +223,7 @@ impl Client {
 
     fn ask(&self, py: Python<'_>, request: Request) -> PyResult<Outcome> {
         self.connection()?.request(request);
-        // NaN is not equal to itself: a request that carries it is known by its text.
-        let text = format!("{request:?}");
-        Ok(self.answer(py, |asked| *asked == request || format!("{asked:?}") == text)?.outcome)
+        Ok(self.answer(py, |reply| reply.answers(&request))?.outcome)
     }
 
     /// Asks the gripper. Returns its state once the fingers rest, or once they have begun if `wait` is false.
@@ -261,11 +259,11 @@ impl Client {
     }
 
     /// The answer to the request that is meant, whatever else is on its way.
-    fn answer(&self, py: Python<'_>, is_meant: impl Fn(&Request) -> bool) -> PyResult<Reply> {
+    fn answer(&self, py: Python<'_>, is_meant: impl Fn(&Reply) -> bool) -> PyResult<Reply> {
         let until = Instant::now() + PATIENCE;
         loop {
             let mut heard = self.poll()?;
-            let place = heard.replies.iter().position(|reply| is_meant(&reply.request));
+            let place = heard.replies.iter().position(&is_meant);
             if let Some(reply) = place.and_then(|place| heard.replies.remove(place)) {
                 if reply.outcome.is_ok() && reply.request != Request::Stop {
                     self.commanded.store(true, Ordering::Relaxed);

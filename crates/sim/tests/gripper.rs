@@ -1,5 +1,11 @@
 //! Fingers and cube: what is grasped is a load on both engines, held as far as friction allows, and lost beyond.
-#![allow(clippy::unwrap_used, clippy::panic, missing_docs, reason = "tests fail by panicking")]
+#![allow(
+    clippy::unwrap_used,
+    clippy::panic,
+    clippy::float_cmp,
+    missing_docs,
+    reason = "tests fail by panicking"
+)]
 
 use moca_msgs::gripper::FRANKA_HAND;
 use moca_msgs::robot::{AnyArm, MOCA_MOUNT, PANDA, PAPER_COVER, SUMMIT_XL};

@@ -103,7 +103,7 @@ pub(crate) fn ask(connection: &Connection, request: Request) -> Result<Outcome> 
     let until = Instant::now() + PATIENCE;
     while Instant::now() < until {
         connection.alive();
-        if let Some(reply) = connection.poll().replies.iter().find(|reply| reply.request == request) {
+        if let Some(reply) = connection.poll().replies.iter().find(|reply| reply.answers(&request)) {
             return Ok(reply.outcome);
         }
         std::thread::sleep(LOOK_EVERY);

@@ -69,6 +69,23 @@ pub struct Reply {
     pub outcome: Outcome,
 }
 
+impl Reply {
+    /// Returns true if this answers `request`. NaN is not equal to itself: a request that carries it is known by its text.
+    ///
+    /// ```
+    /// use moca_msgs::{GripperRequest, Request};
+    /// use moca_telemetry::net::Reply;
+    ///
+    /// let request = Request::Gripper(GripperRequest::Move { width_m: f64::NAN, speed_m_s: 0.05 });
+    /// let reply = Reply { request, outcome: Ok(()) };
+    /// assert!(reply.request != request && reply.answers(&request));
+    /// assert!(!reply.answers(&Request::Gripper(GripperRequest::Move { width_m: 0.04, speed_m_s: 0.05 })));
+    /// ```
+    pub fn answers(&self, request: &Request) -> bool {
+        self.request == *request || format!("{:?}", self.request) == format!("{request:?}")
+    }
+}
+
 /// News since the last poll.
 #[derive(Clone, Debug)]
 pub struct Update {
