@@ -313,19 +313,35 @@ impl<'a> Picture<'a> {
         }
     }
 
-    /// Draws two fingers and what connects them; they close as those of a Franka Hand.
+    /// Draws two fingers, what connects them and a cube for what they hold; they close as those of a Franka Hand.
     fn fingers(&self, flange: [f64; 3], quaternion: [f64; 4], gripper: &GripperState) {
         let axes = axes(quaternion);
-        let point = |share: f64, apart_m: f64| -> [f64; 3] {
-            let flange_m =
-                |k: usize| share * gripper.object_flange_m[k] + apart_m * FRANKA_HAND.closing_flange[k];
-            std::array::from_fn(|i| flange[i] + (0..3).map(|k| axes[k][i] * flange_m(k)).sum::<f64>())
+        let world = |flange_m: [f64; 3]| -> [f64; 3] {
+            std::array::from_fn(|i| flange[i] + (0..3).map(|k| axes[k][i] * flange_m[k]).sum::<f64>())
         };
+        let [tip, closing] = [gripper.object_flange_m, FRANKA_HAND.closing_flange];
+        let point =
+            |share: f64, apart_m: f64| world(std::array::from_fn(|k| share * tip[k] + apart_m * closing[k]));
         let colour = theme::strong(self.visuals);
         let (wide, half) = (0.5 * gripper.width_max_m, 0.5 * gripper.width_m);
         self.line(point(PALM, -wide), point(PALM, wide), Stroke::new(3.0, colour));
         for apart_m in [-half, half] {
             self.line(point(PALM, apart_m), point(1.0, apart_m), Stroke::new(5.0, colour));
+        }
+        if gripper.is_holding() {
+            let [c0, c1, _] = closing;
+            let edges = [closing, [-c1, c0, 0.0], [0.0, 0.0, 1.0]];
+            let corner = |corner: usize| {
+                let side = |axis: usize| if corner >> axis & 1 == 0 { -half } else { half };
+                world(std::array::from_fn(|k| {
+                    tip[k] + (0..3).map(|axis| side(axis) * edges[axis][k]).sum::<f64>()
+                }))
+            };
+            for one in 0..8 {
+                for other in (0..3).map(|axis| one | 1 << axis).filter(|other| *other != one) {
+                    self.line(corner(one), corner(other), Stroke::new(2.0, colour));
+                }
+            }
         }
     }
 
