@@ -13,6 +13,9 @@ use std::time::Duration;
 /// Time limit of a program: far longer than any test needs, on a busy machine too.
 pub const LIMIT: Duration = Duration::from_secs(240);
 
+/// Codes of the faults of a machine that is too busy for a live board; a test then tries another robot.
+pub const STARVED: [&str; 3] = ["board-silent", "board-slow", "host-starved"];
+
 /// A command that runs for [`LIMIT`] at most.
 pub trait Limited {
     /// Starts it.

@@ -3,7 +3,7 @@
 
 use moca_msgs::Sample;
 use moca_telemetry::log::read_log;
-use moca_tests::{Limited, Program};
+use moca_tests::{Limited, Program, STARVED};
 use nix::sys::signal::Signal;
 use serde_json::Value;
 use std::io::Write;
@@ -15,8 +15,6 @@ const ROOT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/..");
 const MOCAD: &str = env!("CARGO_BIN_EXE_mocad-under-test");
 /// Ends a test that would hang.
 const HANGS_AFTER: Duration = Duration::from_secs(60);
-/// Faults of a machine that is too busy for a live board; another robot is tried then.
-const STARVED: [&str; 3] = ["board-silent", "board-slow", "host-starved"];
 
 /// The tutorial's robot, whose programs find each other in `folder`.
 fn robot(folder: &Path, log: &Path) -> Program {

@@ -8,7 +8,7 @@
 
 use moca_msgs::{Mode, Refusal, Request, Target, TargetRefusal, TimedTarget, TwistAxes};
 use moca_telemetry::net::{Address, Connection, Endpoint, Link};
-use moca_tests::{Limited, Program};
+use moca_tests::{Limited, Program, STARVED};
 use nix::sys::signal::Signal;
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
@@ -19,8 +19,6 @@ use std::time::{Duration, Instant};
 
 /// Ends a test that would hang; no test passes or fails by how long something took before this.
 const HANGS_AFTER: Duration = Duration::from_secs(60);
-/// Faults of a machine that is too busy for a live board; another daemon is tried then.
-const STARVED: [&str; 3] = ["board-silent", "board-slow", "host-starved"];
 
 struct Daemon {
     _process: Program,
@@ -144,6 +142,9 @@ fn exit_code_of_a_grasp_says_if_something_is_held() {
     );
     assert_eq!(daemon.status()["gripper"], state, "kept through a protective stop");
     daemon.refused(&["gripper", "move", "0.09"], "width of the gripper = 0.09 m; allowed: 0 to 0.08 m");
+    daemon.refused(&["gripper", "move", "-0.01"], "width of the gripper = -0.01 m; allowed: 0 to 0.08 m");
+    let light = ["gripper", "grasp", "0.05", "--mass", "-1"];
+    daemon.refused(&light, "mass of the object = -1 kg; allowed: 0 to 2.27 kg");
     daemon.done(&["gripper", "release"]);
     let (none, _, why) = code(&["grasp", "0.02"]);
     assert!(none == Some(7) && why.contains("The object is wider than asked."), "{none:?}: {why}");

@@ -4,8 +4,9 @@
 //! for a load b and commanded against. While the arm is held, and in the first second, b follows r: that is its zero, and nobody may
 //! push the flange then.
 //! While a law moves the arm, b follows with `time_s` and stays within `bound_nm` of that zero. Where r is off b by more than
-//! `push_nm` in any joint, less its known friction, somebody pushes: b then follows `PUSHED_SHARE` as fast. So a quick push meets the spring of the
-//! impedance law, and a steady one takes at most `bound_nm` from each joint, whatever its force and length. docs/math.md has the proof.
+//! `push_nm` in any joint, less its known friction, somebody pushes: b then follows `PUSHED_SHARE` as fast. So a quick push meets the
+//! spring of the impedance law, and a steady one takes at most `bound_nm` from each joint, whatever its force and length.
+//! docs/math.md has the proof.
 //!
 //! Friction turns round with the speed of a joint, faster than b follows. What is known of it is commanded against at once, and taken
 //! out of the measured torque: law and observer then see an arm with the rest of its friction.

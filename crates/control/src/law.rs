@@ -147,11 +147,7 @@ impl Motion {
     /// Carries what the gripper holds, a point mass between the fingertips, from the next command on. No gripper holds nothing.
     pub fn carry(&mut self, gripper: Option<&GripperState>) {
         let held = gripper.filter(|gripper| gripper.object_kg > 0.0);
-        let object = held.map(|gripper| LinkInertial {
-            mass_kg: gripper.object_kg,
-            com_m: gripper.object_flange_m,
-            ..Payload::NONE.inertial
-        });
+        let object = held.map(|gripper| LinkInertial::point(gripper.object_kg, gripper.object_flange_m));
         if object != self.object {
             // A driver's report of what is no body changes nothing.
             let _ = self.take_object(object);

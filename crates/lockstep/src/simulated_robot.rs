@@ -9,8 +9,7 @@ use moca_control::robot::{CoverTable, FlangeSensorKind, FoamKind, GripperKind, J
 use moca_control::stopping::{Ladder, Stop};
 use moca_msgs::request::PRESS_FORCE_MAX_N;
 use moca_msgs::{
-    Actuation, Fault, GripperRequest, GripperState, Outcome, Payload, Refusal, RobotCommand, RobotState,
-    TrueArm,
+    Actuation, Fault, GripperRequest, GripperState, Outcome, Refusal, RobotCommand, RobotState, TrueArm,
 };
 use moca_sim::foam::{ElasticLaw, Foam};
 use moca_sim::scene::Robot;
@@ -37,14 +36,13 @@ pub fn free_scene(config: &Config) -> Scene {
     };
     let truth = &config.simulation.truth;
     let base = truth.base.applied(&config.robot.base);
-    let payload = config.robot.payload();
     let accuracy = Some(config.simulation.accuracy).filter(|accuracy| *accuracy > 0.0);
     Scene {
         robot,
         accuracy,
         integrator: if accuracy.is_some() { Integrator::Leapfrog } else { Integrator::default() },
         arm_posture_rad: config.control.gains.posture_rad,
-        payload: Payload { inertial: payload.inertial.with(&truth.arm.tool()), ..payload },
+        payload: config.robot.payload().with(&truth.arm.tool()),
         arm_joints: truth.arm,
         gripper: (config.plant.gripper == GripperKind::Simulated).then_some(truth.object),
         foam: true_foam(config),

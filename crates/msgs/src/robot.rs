@@ -29,6 +29,11 @@ pub struct LinkInertial {
 }
 
 impl LinkInertial {
+    /// Point mass of `mass_kg` at `com_m`, m.
+    pub const fn point(mass_kg: f64, com_m: [f64; 3]) -> Self {
+        Self { mass_kg, com_m, inertia_com: [0.0; 6] }
+    }
+
     /// Returns both bodies as one, by the parallel-axis theorem; a body without mass adds nothing.
     #[must_use]
     pub fn with(&self, other: &Self) -> Self {
@@ -242,10 +247,13 @@ pub struct Payload {
 
 impl Payload {
     /// Bare flange: no mass, tool frame = flange frame.
-    pub const NONE: Self = Self {
-        inertial: LinkInertial { mass_kg: 0.0, com_m: [0.0; 3], inertia_com: [0.0; 6] },
-        tool_origin: [0.0; 6],
-    };
+    pub const NONE: Self = Self { inertial: LinkInertial::point(0.0, [0.0; 3]), tool_origin: [0.0; 6] };
+
+    /// Returns it with another body on the flange, in the flange's axes; the tool frame stays.
+    #[must_use]
+    pub fn with(&self, body: &LinkInertial) -> Self {
+        Self { inertial: self.inertial.with(body), ..*self }
+    }
 }
 
 crate::parameter_table! {

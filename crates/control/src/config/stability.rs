@@ -36,14 +36,10 @@ impl Stability {
     /// Builds the conditions of the configured robot.
     pub fn new(config: &Config) -> Self {
         let payload = config.robot.payload();
-        let heaviest = config.plant.gripper.table().map(|gripper| {
-            let object = LinkInertial {
-                mass_kg: gripper.object_max_kg,
-                com_m: gripper.tip_flange_m,
-                ..Payload::NONE.inertial
-            };
-            Payload { inertial: payload.inertial.with(&object), ..payload }
-        });
+        let heaviest =
+            config.plant.gripper.table().map(|gripper| {
+                payload.with(&LinkInertial::point(gripper.object_max_kg, gripper.tip_flange_m))
+            });
         Self {
             arm: *config.arm(),
             mount: config.robot.mount,
@@ -125,8 +121,8 @@ impl Stability {
         })
     }
 
-    /// The first joint whose torque limit does not carry the arm in its posture, with the heaviest object in its gripper: its number (0 is the first), the torque that
-    /// gravity asks for and the limit, N·m.
+    /// The first joint whose torque limit does not carry the arm in its posture, with the heaviest object in its gripper. Its number
+    /// (0 is the first), the torque that gravity asks for and the limit, N·m.
     pub(super) fn too_heavy(&self, parameters: &Parameters<JOINTS>) -> Option<(usize, f64, f64)> {
         match self.arm.joints {
             _ if !self.parts.has_arm() => None,

@@ -33,10 +33,10 @@ pub enum Command {
 #[derive(Args)]
 pub struct MoveArguments {
     /// Distance between the fingers, m; a Franka Hand: 0 to 0.08.
-    #[arg(value_name = "WIDTH")]
+    #[arg(value_name = "WIDTH", allow_negative_numbers = true)]
     width_m: f64,
     /// Change of that distance, m/s; a Franka Hand: 0.001 to 0.1.
-    #[arg(long, value_name = "SPEED", default_value_t = 0.05)]
+    #[arg(long, value_name = "SPEED", allow_negative_numbers = true, default_value_t = 0.05)]
     speed: f64,
     #[command(flatten)]
     common: Arguments,
@@ -48,13 +48,13 @@ pub struct GraspArguments {
     #[command(flatten)]
     to: MoveArguments,
     /// Force of each finger, N; a Franka Hand: 1 to 70.
-    #[arg(long, value_name = "FORCE", default_value_t = 40.0)]
+    #[arg(long, value_name = "FORCE", allow_negative_numbers = true, default_value_t = 40.0)]
     force: f64,
     /// Largest difference between WIDTH and the object's, m; a Franka Hand: 0.0001 to 0.08.
-    #[arg(long, value_name = "TOLERANCE", default_value_t = 0.005)]
+    #[arg(long, value_name = "TOLERANCE", allow_negative_numbers = true, default_value_t = 0.005)]
     tolerance: f64,
     /// Mass of the object, which the arm carries from the moment in which it is held, kg; a Franka Hand: 0 to 2.27; 0: not told.
-    #[arg(long, value_name = "MASS", default_value_t = 0.0)]
+    #[arg(long, value_name = "MASS", allow_negative_numbers = true, default_value_t = 0.0)]
     mass: f64,
 }
 

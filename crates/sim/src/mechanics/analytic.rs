@@ -291,9 +291,8 @@ impl<const N: usize> Mechanics for Analytic<N> {
 
     fn set_load(&mut self, load: &LinkInertial) -> Result<(), SimError> {
         let (arm, mount, payload) = &self.parts;
-        let payload = Payload { inertial: payload.inertial.with(load), ..*payload };
-        self.model =
-            ArmModel::new(arm, mount, &payload).map_err(|error| SimError::Model(error.to_string()))?;
+        self.model = ArmModel::new(arm, mount, &payload.with(load))
+            .map_err(|error| SimError::Model(error.to_string()))?;
         Ok(())
     }
 

@@ -122,7 +122,8 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
     }
 
     /// Returns the controller of the same arm with `object` in its hand, beside tool and load; one without mass is none. The laws
-    /// carry it from the next step on; [`ArmState::change_model`] tells a state of it. The arm's own controller knows nothing of it, so [`ArmOutput::gravity_nm`] is without it.
+    /// carry it from the next step on; [`ArmState::change_model`] tells a state of it. The arm's own controller knows nothing of it, so
+    /// [`ArmOutput::gravity_nm`] is without it.
     ///
     /// # Errors
     /// As for [`Self::new`], of which the tables are.
@@ -133,9 +134,8 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         payload: &Payload,
         object: &LinkInertial,
     ) -> Result<Self, ParameterError> {
-        let loaded = Payload { inertial: payload.inertial.with(object), ..*payload };
         Ok(Self {
-            model: ArmModel::new(arm, mount, &loaded)?,
+            model: ArmModel::new(arm, mount, &payload.with(object))?,
             object: HeldObject::new(object, payload),
             ..*self
         })
