@@ -90,14 +90,6 @@ impl<T: Scalar> TurningInertia<T> {
         let half = (xx + yy + zz) * of(0.5);
         [half - xx, -xy, -xz, half - yy, -yz, half - zz]
     }
-
-    /// In the axes of the parent, about its origin: `turn` is of the joint, `twist` and `offset` of its place.
-    #[inline]
-    pub(crate) fn in_parent(&self, turn: &Turn<T>, twist: &Turn<T>, offset: &Vector3<T>) -> Self {
-        let first_moment = twist.about_x(&turn.about_z(&self.first_moment));
-        let rotational = twist.tensor_about_x(&turn.tensor_about_z(&self.rotational));
-        Self { rotational: shifted(&rotational, &first_moment, offset), first_moment }
-    }
 }
 
 impl<T: Scalar> Add for TurningInertia<T> {
@@ -148,6 +140,12 @@ impl<T: Scalar> Turn<T> {
         (of_first, turns)
     }
 
+    /// With both multiplied by a sign: a half turn more for −1.
+    #[inline]
+    pub(crate) fn times(&self, sign: T) -> Self {
+        Self { sin: self.sin * sign, cos: self.cos * sign }
+    }
+
     /// The way back.
     #[inline]
     pub(crate) fn back(&self) -> Self {
@@ -186,7 +184,7 @@ impl<T: Scalar> Turn<T> {
 
     /// Rx·I·Rxᵀ: what the turn takes from yy it gives to zz.
     #[inline]
-    fn tensor_about_x(&self, &[xx, xy, xz, yy, yz, zz]: &[T; 6]) -> [T; 6] {
+    pub(crate) fn tensor_about_x(&self, &[xx, xy, xz, yy, yz, zz]: &[T; 6]) -> [T; 6] {
         let Self { sin, cos } = *self;
         let (a, b) = (cos * yy - sin * yz, cos * yz - sin * zz);
         let turned = cos * a - sin * b;
@@ -195,7 +193,7 @@ impl<T: Scalar> Turn<T> {
 
     /// Rz·I·Rzᵀ: what the turn takes from xx it gives to yy.
     #[inline]
-    fn tensor_about_z(&self, &[xx, xy, xz, yy, yz, zz]: &[T; 6]) -> [T; 6] {
+    pub(crate) fn tensor_about_z(&self, &[xx, xy, xz, yy, yz, zz]: &[T; 6]) -> [T; 6] {
         let Self { sin, cos } = *self;
         let (a, b) = (cos * xx - sin * xy, cos * xy - sin * yy);
         let turned = cos * a - sin * b;
@@ -206,7 +204,11 @@ impl<T: Scalar> Turn<T> {
 /// The inertia `of` a body with first moment h about a point from which the present one is `step` away, but for its mass:
 /// I + 2·(s·h)·1 − s·hᵀ − h·sᵀ.
 #[inline]
-fn shifted<T: Scalar>(&[xx, xy, xz, yy, yz, zz]: &[T; 6], h: &Vector3<T>, step: &Vector3<T>) -> [T; 6] {
+pub(crate) fn shifted<T: Scalar>(
+    &[xx, xy, xz, yy, yz, zz]: &[T; 6],
+    h: &Vector3<T>,
+    step: &Vector3<T>,
+) -> [T; 6] {
     let (x, y, z) = (h.x * step.x, h.y * step.y, h.z * step.z);
     let (x, y, z) = (x + x, y + y, z + z);
     [

@@ -5,16 +5,22 @@
 //! joint's place is a twist about x and an offset, which stays general: the common normals of Denavit and Hartenberg run
 //! away where two axes are almost parallel. The inertias are regrouped with [`TurningInertia::parted`], from the last
 //! link to link 0. Exact, both: only rounding tells a table from its normal form.
+//!
+//! No twist is negative: Rx(−t) is Rx(t) between two half turns about z, which change the signs of a joint's sine and cosine. The
+//! first joint's place is the root's, so that its twist can be any. An arm all of whose axes meet the one before at a right angle, in
+//! the plane of its offset, needs no product to pass a joint's twist: [`Square`].
 
 use crate::rotation;
 use crate::scalar::{Scalar, all, of};
-use crate::spatial::{Inertia, Turn, TurningInertia};
+use crate::spatial::{Inertia, Turn, TurningInertia, shifted};
 use moca_msgs::robot::LinkInertial;
 use moca_msgs::{ArmTable, Payload};
 use nalgebra::{Matrix3, Vector3};
 
-/// Sine of a twist below which two axes are parallel: what a π of a table leaves of its sine.
+/// Sine of a twist below which two axes are parallel, and cosine below which they are square: what a π of a table leaves of them.
 const PARALLEL: f64 = 1e-15;
+/// 90°
+const SQUARE: Turn<f64> = Turn { sin: 1.0, cos: 0.0 };
 
 /// A fixed transform: place and axes of a child frame in its parent.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -28,23 +34,157 @@ pub(crate) struct Placement<T> {
 pub(crate) struct Joint<T> {
     /// Added to the joint's angle, rad.
     pub zero: T,
+    /// Sign of the sine and the cosine of the turn by that angle.
+    pub sense: T,
     /// About the x axis of the link before.
     pub twist: Turn<T>,
     /// From the origin of the link before, in its axes, m.
     pub offset: Vector3<T>,
 }
 
-impl<T: Scalar> Joint<T> {
+/// Twist and offset of a joint, as the recursions pass them.
+pub(crate) trait Seat<T: Scalar>: Copy {
+    fn of(joint: &Joint<T>) -> Self;
+
+    /// `axes`·Rx: those of the link before, twisted.
+    fn twisted(&self, axes: &Matrix3<T>) -> Matrix3<T>;
+
+    /// Rx·v: from twisted axes to those of the link before.
+    fn outwards(&self, v: &Vector3<T>) -> Vector3<T>;
+
+    /// Rxᵀ·v: the way back from [`Self::out`].
+    fn inwards(&self, v: &Vector3<T>) -> Vector3<T>;
+
+    /// Rx·I·Rxᵀ.
+    fn tensor_outwards(&self, tensor: &[T; 6]) -> [T; 6];
+
+    /// M·offset.
+    fn offset_by(&self, matrix: &Matrix3<T>) -> Vector3<T>;
+
+    /// offset × v.
+    fn offset_cross(&self, v: &Vector3<T>) -> Vector3<T>;
+
+    /// The tensor of a body with first moment h about the origin of the link before, h and the tensor in its axes.
+    fn shifted(&self, tensor: &[T; 6], h: &Vector3<T>) -> [T; 6];
+
     /// A force and its moment, or a momentum and its own, about the origin of the link behind a joint that is turned by
     /// `turn`, in the axes of that link: about the origin of the link before, in its axes.
     #[inline]
-    pub(crate) fn in_parent(
+    fn in_parent(
         &self,
         turn: &Turn<T>,
         (force, moment): (Vector3<T>, Vector3<T>),
     ) -> (Vector3<T>, Vector3<T>) {
-        let force = self.twist.about_x(&turn.about_z(&force));
-        (force, self.twist.about_x(&turn.about_z(&moment)) + self.offset.cross(&force))
+        let force = self.outwards(&turn.about_z(&force));
+        (force, self.outwards(&turn.about_z(&moment)) + self.offset_cross(&force))
+    }
+
+    /// What a body's inertia about the origin of the link behind a joint is in the axes of the link before, about its origin.
+    #[inline]
+    fn inertia_in_parent(&self, turn: &Turn<T>, inertia: &TurningInertia<T>) -> TurningInertia<T> {
+        let first_moment = self.outwards(&turn.about_z(&inertia.first_moment));
+        let rotational = self.tensor_outwards(&turn.tensor_about_z(&inertia.rotational));
+        TurningInertia { rotational: self.shifted(&rotational, &first_moment), first_moment }
+    }
+}
+
+impl<T: Scalar> Seat<T> for Joint<T> {
+    #[inline]
+    fn of(joint: &Self) -> Self {
+        *joint
+    }
+
+    #[inline]
+    fn twisted(&self, axes: &Matrix3<T>) -> Matrix3<T> {
+        self.twist.frame_about_x(axes)
+    }
+
+    #[inline]
+    fn outwards(&self, v: &Vector3<T>) -> Vector3<T> {
+        self.twist.about_x(v)
+    }
+
+    #[inline]
+    fn inwards(&self, v: &Vector3<T>) -> Vector3<T> {
+        self.twist.back().about_x(v)
+    }
+
+    #[inline]
+    fn tensor_outwards(&self, tensor: &[T; 6]) -> [T; 6] {
+        self.twist.tensor_about_x(tensor)
+    }
+
+    #[inline]
+    fn offset_by(&self, matrix: &Matrix3<T>) -> Vector3<T> {
+        matrix * self.offset
+    }
+
+    #[inline]
+    fn offset_cross(&self, v: &Vector3<T>) -> Vector3<T> {
+        self.offset.cross(v)
+    }
+
+    #[inline]
+    fn shifted(&self, tensor: &[T; 6], h: &Vector3<T>) -> [T; 6] {
+        shifted(tensor, h, &self.offset)
+    }
+}
+
+/// A twist of exactly 90°, which exchanges coordinates, and an offset without a part along the axis before.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Square<T> {
+    x: T,
+    y: T,
+}
+
+impl<T: Scalar> Seat<T> for Square<T> {
+    #[inline]
+    fn of(joint: &Joint<T>) -> Self {
+        Self { x: joint.offset.x, y: joint.offset.y }
+    }
+
+    #[inline]
+    fn twisted(&self, axes: &Matrix3<T>) -> Matrix3<T> {
+        Matrix3::from_columns(&[axes.column(0).into_owned(), axes.column(2).into_owned(), -axes.column(1)])
+    }
+
+    #[inline]
+    fn outwards(&self, v: &Vector3<T>) -> Vector3<T> {
+        Vector3::new(v.x, -v.z, v.y)
+    }
+
+    #[inline]
+    fn inwards(&self, v: &Vector3<T>) -> Vector3<T> {
+        Vector3::new(v.x, v.z, -v.y)
+    }
+
+    #[inline]
+    fn tensor_outwards(&self, &[xx, xy, xz, yy, yz, zz]: &[T; 6]) -> [T; 6] {
+        [xx, -xz, xy, zz, -yz, yy]
+    }
+
+    #[inline]
+    fn offset_by(&self, matrix: &Matrix3<T>) -> Vector3<T> {
+        matrix.column(0) * self.x + matrix.column(1) * self.y
+    }
+
+    #[inline]
+    fn offset_cross(&self, v: &Vector3<T>) -> Vector3<T> {
+        Vector3::new(self.y * v.z, -self.x * v.z, self.x * v.y - self.y * v.x)
+    }
+
+    #[inline]
+    fn shifted(&self, &[xx, xy, xz, yy, yz, zz]: &[T; 6], h: &Vector3<T>) -> [T; 6] {
+        let (x, y) = (h.x * self.x, h.y * self.y);
+        let (x, y) = (x + x, y + y);
+        [
+            xx + y,
+            xy - (h.x * self.y + h.y * self.x),
+            xz - h.z * self.x,
+            yy + x,
+            yz - h.z * self.y,
+            zz + (x + y),
+        ]
     }
 }
 
@@ -52,6 +192,8 @@ impl<T: Scalar> Joint<T> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Chain<const N: usize, T> {
     pub joints: [Joint<T>; N],
+    /// Every joint is [`Square`].
+    pub is_square: bool,
     pub links: [TurningInertia<T>; N],
     /// ∫ r·rᵀ dm of each link: xx, xy, xz, yy, yz, zz.
     pub second_moments: [[T; 6]; N],
@@ -75,25 +217,27 @@ impl<const N: usize> Chain<N, f64> {
         if let Some(last) = bodies.last_mut() {
             *last = *last + body(&payload.inertial).rotated(&flange.rotation).moved(&flange.origin);
         }
-        let mut joints = [Joint { zero: 0.0, twist: Turn::by(0.0), offset: Vector3::zeros() }; N];
+        let mut joints = [Joint { zero: 0.0, sense: 1.0, twist: SQUARE, offset: Vector3::zeros() }; N];
         let mut root_axes = *arm_axes;
         let mut root_body = body(&arm.link0);
         for (i, origin) in arm.joint_origin.iter().enumerate() {
             let placement = Placement::of(origin);
-            let (before, twist, after) = parted(&placement.rotation);
-            let axes = about_z(before);
-            joints[i] = Joint { zero: after, twist, offset: axes.tr_mul(&placement.origin) };
-            match i.checked_sub(1) {
-                Some(parent) => {
-                    joints[parent].zero += before;
-                    bodies[parent] = bodies[parent].rotated(&axes.transpose());
-                }
-                None => {
-                    root_axes *= axes;
-                    root_body = root_body.rotated(&axes.transpose());
-                }
-            }
+            let Some(parent) = i.checked_sub(1) else {
+                let axes = placement.rotation * about_x(&SQUARE.back());
+                joints[i].offset = axes.tr_mul(&placement.origin);
+                root_axes *= axes;
+                root_body = root_body.rotated(&axes.transpose());
+                continue;
+            };
+            let Parted { before, sense, twist, after } = parted(&placement.rotation);
+            let axes = about_z(before) * half_turns(sense);
+            joints[i] = Joint { zero: after, sense, twist, offset: axes.tr_mul(&placement.origin) };
+            joints[parent].zero += before;
+            joints[parent].sense *= sense;
+            bodies[parent] = bodies[parent].rotated(&axes.transpose());
         }
+        #[expect(clippy::float_cmp, reason = "only an exact right angle is an exchange of coordinates")]
+        let is_square = joints.iter().all(|joint| joint.twist == SQUARE && joint.offset.z == 0.0);
         let mut links = [TurningInertia::zero(); N];
         for i in (0..N).rev() {
             let (turning, rod) = TurningInertia::parted(&bodies[i]);
@@ -104,6 +248,7 @@ impl<const N: usize> Chain<N, f64> {
         }
         Self {
             joints,
+            is_square,
             second_moments: links.map(|link| link.second_moment()),
             links,
             tool: flange.then(&Placement::of(&payload.tool_origin)),
@@ -120,9 +265,11 @@ impl<const N: usize> Chain<N, f64> {
         Chain {
             joints: self.joints.map(|joint| Joint {
                 zero: of(joint.zero),
+                sense: of(joint.sense),
                 twist: turn(&joint.twist),
                 offset: joint.offset.map(of),
             }),
+            is_square: self.is_square,
             links: self.links.map(|link| TurningInertia {
                 first_moment: link.first_moment.map(of),
                 rotational: all(&link.rotational),
@@ -159,20 +306,34 @@ impl Placement<f64> {
 
 /// Turn about z that a link's axes take over from a joint at `origin` on it: from the normal form's axes to the table's.
 pub(crate) fn turn_before(origin: &[f64; 6]) -> Matrix3<f64> {
-    about_z(parted(&Placement::of(origin).rotation).0)
+    let Parted { before, sense, .. } = parted(&Placement::of(origin).rotation);
+    about_z(before) * half_turns(sense)
 }
 
-/// R = Rz(before)·Rx(twist)·Rz(after), |before| ≤ π/2.
-fn parted(r: &Matrix3<f64>) -> (f64, Turn<f64>, f64) {
+/// R = Rz(before)·S·Rx(twist)·S·Rz(after), S = diag(sense, sense, 1), |before| ≤ π/2, no twist negative.
+struct Parted {
+    before: f64,
+    sense: f64,
+    twist: Turn<f64>,
+    after: f64,
+}
+
+fn parted(r: &Matrix3<f64>) -> Parted {
     let (x, y) = (r[(0, 2)], -r[(1, 2)]);
-    let (sin, before) = match nalgebra::ComplexField::hypot(x, y) {
-        sin if sin < PARALLEL => (0.0, 0.0),
-        sin if y < 0.0 => (-sin, nalgebra::RealField::atan2(-x, -y)),
-        sin => (sin, nalgebra::RealField::atan2(x, y)),
+    let (sin, sense, before) = match nalgebra::ComplexField::hypot(x, y) {
+        sin if sin < PARALLEL => (0.0, 1.0, 0.0),
+        sin if y < 0.0 => (sin, -1.0, nalgebra::RealField::atan2(-x, -y)),
+        sin => (sin, 1.0, nalgebra::RealField::atan2(x, y)),
     };
-    let twist = Turn { sin, cos: r[(2, 2)] };
-    let left = about_x(&twist.back()) * about_z(-before) * r;
-    (before, twist, nalgebra::RealField::atan2(left[(1, 0)], left[(0, 0)]))
+    let cos = r[(2, 2)];
+    let twist = if cos.abs() < PARALLEL { SQUARE } else { Turn { sin, cos } };
+    let left = about_x(&twist.back()) * half_turns(sense) * about_z(-before) * r;
+    let left = half_turns(sense) * left;
+    Parted { before, sense, twist, after: nalgebra::RealField::atan2(left[(1, 0)], left[(0, 0)]) }
+}
+
+fn half_turns(sense: f64) -> Matrix3<f64> {
+    Matrix3::from_diagonal(&Vector3::new(sense, sense, 1.0))
 }
 
 fn about_x(turn: &Turn<f64>) -> Matrix3<f64> {

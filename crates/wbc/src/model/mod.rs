@@ -18,7 +18,7 @@
 //! # Ok::<(), moca_wbc::ParameterError>(())
 //! ```
 
-use crate::chain::{Chain, Placement};
+use crate::chain::{Chain, Joint, Placement, Seat, Square};
 use crate::rotation::Heading;
 use crate::scalar::{Scalar, of};
 use crate::spatial::{Inertia, Turn, TurningInertia, symmetric_times};
@@ -110,22 +110,40 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     /// `out` becomes what [`ArmModel::dynamics`] gives: nothing is copied.
     #[inline]
     pub(crate) fn dynamics_at(&self, yaw: T, q: &[T; N], dq: &[T; N], out: &mut Dynamics<N, T>) {
+        let place = (yaw, q);
+        if self.chain.is_square {
+            self.dynamics_by::<Square<T>>(place, (T::zero(), dq), out);
+        } else {
+            self.dynamics_by::<Joint<T>>(place, (T::zero(), dq), out);
+        }
+    }
+
+    /// [`Self::dynamics_at`] on a base that turns, by the arm's kind of seats. Gives the composite of all links, and the force and
+    /// moment on the chain's root, in its axes, about its origin; what of it nobody reads is not even computed where this is inlined.
+    #[inline]
+    fn dynamics_by<S: Seat<T>>(
+        &self,
+        place: (T, &[T; N]),
+        rates: (T, &[T; N]),
+        out: &mut Dynamics<N, T>,
+    ) -> (TurningInertia<T>, (Vector3<T>, Vector3<T>)) {
         let mut felt = [Felt::nothing(); N];
-        self.place_moving((yaw, q), (T::zero(), dq), &mut out.kinematics, &mut felt);
-        self.compose(out);
-        self.bear(&felt, &out.kinematics.turn, &mut out.bias);
+        self.place_moving::<S>(place, rates, &mut out.kinematics, &mut felt);
+        let composite = self.compose::<S>(out);
+        let composite = S::of(&self.chain.joints[0]).inertia_in_parent(&out.kinematics.turn[0], &composite);
+        (composite, self.bear::<S>(&felt, &out.kinematics.turn, &mut out.bias))
     }
 
     /// Out along the arm: where everything is. Written where it stands: returned, it would be copied.
     #[inline(never)]
     fn place(&self, yaw: T, q: &[T; N], out: &mut Kinematics<N, T>) {
-        self.place_and(yaw, q, out, |_, _| {});
+        self.place_and::<Joint<T>>(yaw, q, out, |_, _| {});
     }
 
     /// [`Self::place`], and on the way `what` else of each link is found from how its joint is turned: two chains of which
     /// neither waits for the other.
     #[inline]
-    fn place_and(
+    fn place_and<S: Seat<T>>(
         &self,
         yaw: T,
         q: &[T; N],
@@ -133,17 +151,17 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         mut what: impl FnMut(usize, &Turn<T>),
     ) {
         let chain = &self.chain;
-        let angles = core::array::from_fn(|i| q[i] + chain.joints[i].zero);
+        let angles: [T; N] = core::array::from_fn(|i| q[i] + chain.joints[i].zero);
         let (yawed, turns) = Turn::all(yaw, &angles);
-        out.turn = turns;
+        out.turn = core::array::from_fn(|i| turns[i].times(chain.joints[i].sense));
         out.heading = yawed.into();
         out.base_rotation = out.heading.matrix();
         out.arm_from_base = out.base_rotation * self.mount.origin;
         let (mut axes, mut position) = (out.base_rotation * chain.root_axes, Vector3::zeros());
         for i in 0..N {
-            let joint = &chain.joints[i];
-            position += axes * joint.offset;
-            axes = out.turn[i].frame_about_z(&joint.twist.frame_about_x(&axes));
+            let seat = S::of(&chain.joints[i]);
+            position += seat.offset_by(&axes);
+            axes = out.turn[i].frame_about_z(&seat.twisted(&axes));
             out.link_axes[i] = axes;
             out.joint_position[i] = position;
             what(i, &out.turn[i]);
@@ -161,11 +179,10 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     /// Back along the arm: M_A and M_AB by composite bodies, each in its own link's axes. Gives the composite of all
     /// links, in the axes of the first.
     #[inline(never)]
-    fn compose(&self, out: &mut Dynamics<N, T>) -> TurningInertia<T> {
+    fn compose<S: Seat<T>>(&self, out: &mut Dynamics<N, T>) -> TurningInertia<T> {
         let kinematics = &out.kinematics;
         let mut composite = TurningInertia::zero();
         for i in (0..N).rev() {
-            let joint = &self.chain.joints[i];
             composite = composite + self.chain.links[i];
             // momentum about the joint that a unit rate of it gives to everything beyond it
             let (axes, [_, _, xz, _, yz, zz]) = (&kinematics.link_axes[i], composite.rotational);
@@ -185,7 +202,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
                 out.mass.data.0[i][k] = value;
             }
             if i > 0 {
-                composite = composite.in_parent(&kinematics.turn[i], &joint.twist, &joint.offset);
+                composite = S::of(&self.chain.joints[i]).inertia_in_parent(&kinematics.turn[i], &composite);
             }
         }
         composite
@@ -197,7 +214,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     /// Acceleration of a body's points: that of its origin and U = \[α\]× + \[ω\]×². Then f = U·h, and the moment about the origin is
     /// h × a and the skew part of U·Σ, Σ its second moments.
     #[inline(never)]
-    fn place_moving(
+    fn place_moving<S: Seat<T>>(
         &self,
         (yaw, q): (T, &[T; N]),
         (yaw_rate, dq): (T, &[T; N]),
@@ -209,11 +226,11 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         let mut alpha = Vector3::zeros();
         let mut acceleration = self.root_acceleration(yaw_rate);
         let mut u = by_turning(&omega, &alpha);
-        self.place_and(yaw, q, out, |i, turn| {
-            let (joint, body) = (&chain.joints[i], &chain.links[i]);
-            let (twist, turn) = (joint.twist.back(), turn.back());
-            let into = |v: &Vector3<T>| turn.about_z(&twist.about_x(v));
-            acceleration = into(&(acceleration + u * joint.offset));
+        self.place_and::<S>(yaw, q, out, |i, turn| {
+            let (seat, body) = (S::of(&chain.joints[i]), &chain.links[i]);
+            let turn = turn.back();
+            let into = |v: &Vector3<T>| turn.about_z(&seat.inwards(v));
+            acceleration = into(&(acceleration + seat.offset_by(&u)));
             omega = into(&omega);
             alpha = into(&alpha);
             alpha.x += omega.y * dq[i];
@@ -238,7 +255,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     /// Back along the arm: joint torques from what the links feel. Gives the force and moment on the chain's root, in its
     /// axes, about its origin.
     #[inline(never)]
-    fn bear(
+    fn bear<S: Seat<T>>(
         &self,
         felt: &[Felt<T>; N],
         turn: &[Turn<T>; N],
@@ -249,7 +266,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
             force += felt[i].force;
             moment += felt[i].moment;
             torque[i] = moment.z;
-            (force, moment) = self.chain.joints[i].in_parent(&turn[i], (force, moment));
+            (force, moment) = S::of(&self.chain.joints[i]).in_parent(&turn[i], (force, moment));
         }
         (force, moment)
     }
@@ -264,8 +281,21 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
 
     /// Cᵀq̇, N·m, what a momentum observer needs beside the momentum itself: ∂T/∂q, the momentum that each joint's moving
     /// axis carries, (v_i × S_i)·h_i. The base moves at `base_velocity_world` (m/s, m/s, rad/s).
-    #[inline(never)]
     pub fn momentum_drift(
+        &self,
+        kinematics: &Kinematics<N, T>,
+        base_velocity_world: &[T; 3],
+        dq: &[T; N],
+    ) -> [T; N] {
+        if self.chain.is_square {
+            self.momentum_drift_by::<Square<T>>(kinematics, base_velocity_world, dq)
+        } else {
+            self.momentum_drift_by::<Joint<T>>(kinematics, base_velocity_world, dq)
+        }
+    }
+
+    #[inline(never)]
+    fn momentum_drift_by<S: Seat<T>>(
         &self,
         kinematics: &Kinematics<N, T>,
         base_velocity_world: &[T; 3],
@@ -279,17 +309,16 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         let mut omega = chain.up * yaw_rate;
         let mut twists = [(Vector3::zeros(), Vector3::zeros()); N];
         for i in 0..N {
-            let joint = &chain.joints[i];
-            let (twist, turn) = (joint.twist.back(), kinematics.turn[i].back());
-            velocity = turn.about_z(&twist.about_x(&(velocity + omega.cross(&joint.offset))));
-            omega = turn.about_z(&twist.about_x(&omega));
+            let (seat, turn) = (S::of(&chain.joints[i]), kinematics.turn[i].back());
+            velocity = turn.about_z(&seat.inwards(&(velocity - seat.offset_cross(&omega))));
+            omega = turn.about_z(&seat.inwards(&omega));
             omega.z += dq[i];
             twists[i] = (velocity, omega);
         }
         let mut drift = [T::zero(); N];
         let (mut linear, mut angular) = (Vector3::zeros(), Vector3::zeros());
         for i in (0..N).rev() {
-            let (joint, body, turn) = (&chain.joints[i], &chain.links[i], &kinematics.turn[i]);
+            let (body, turn) = (&chain.links[i], &kinematics.turn[i]);
             let (v, w) = &twists[i];
             // a turning link has no first moment along its axis
             let (hx, hy) = (body.first_moment.x, body.first_moment.y);
@@ -297,7 +326,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
             linear += Vector3::new(-hy * w.z, hx * w.z, hy * w.x - hx * w.y);
             angular += symmetric_times(&body.rotational, w) + of_velocity;
             drift[i] = w.y * angular.x - w.x * angular.y + v.y * linear.x - v.x * linear.y;
-            (linear, angular) = joint.in_parent(turn, (linear, angular));
+            (linear, angular) = S::of(&chain.joints[i]).in_parent(turn, (linear, angular));
         }
         drift
     }
@@ -313,11 +342,12 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         arm: &mut Dynamics<N, T>,
     ) -> Load<T> {
         let chain = &self.chain;
-        let mut felt = [Felt::nothing(); N];
-        self.place_moving((yaw, q), (yaw_rate, dq), &mut arm.kinematics, &mut felt);
-        let (joint, turn) = (&chain.joints[0], arm.kinematics.turn[0]);
-        let composite = self.compose(arm).in_parent(&turn, &joint.twist, &joint.offset);
-        let (mut force, mut moment) = self.bear(&felt, &arm.kinematics.turn, &mut arm.bias);
+        let (place, rates) = ((yaw, q), (yaw_rate, dq));
+        let (composite, (mut force, mut moment)) = if chain.is_square {
+            self.dynamics_by::<Square<T>>(place, rates, arm)
+        } else {
+            self.dynamics_by::<Joint<T>>(place, rates, arm)
+        };
         let standing = &chain.root_body;
         let omega = chain.up * yaw_rate;
         let acceleration = self.root_acceleration(yaw_rate);

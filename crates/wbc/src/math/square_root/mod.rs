@@ -28,7 +28,8 @@ use tridiagonal::Tridiagonal;
 /// whose eigenvalue is lost in rounding, below 16·ε of the trace, is taken to have that one.
 #[inline(never)]
 pub fn inverse_square_root<const D: usize, T: Scalar>(a: &SMatrix<T, D, D>) -> Option<SMatrix<T, D, D>> {
-    let t = Tridiagonal::of(&a.data.0);
+    let mut t = Tridiagonal::unset();
+    t.reduce(&a.data.0);
     let mut root = [[T::zero(); D]; D];
     if !poles::inverse_square_root(&t, &mut root) {
         return eigenvalues::inverse_square_root(&t);

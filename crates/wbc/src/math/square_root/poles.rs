@@ -12,7 +12,6 @@
 //! cancels does so where a minor is found of those with fewer rows, as in the determinant itself.
 
 use super::tridiagonal::Tridiagonal;
-use crate::linalg::combined;
 use crate::scalar::{Scalar, of};
 
 /// κ
@@ -76,7 +75,11 @@ pub(super) fn inverse_square_root<const D: usize, T: Scalar>(
     }
     let (mut of_row, mut of_last, mut square) = (moments(&minors.determinant), [T::zero(); D], T::zero());
     for j in 0..D {
-        let row = combined(&minors.behind, &of_row);
+        let mut row = [T::zero(); D];
+        // of this row and those behind it only so many coefficients are not zero
+        for (behind, &moment) in minors.behind.iter().zip(&of_row).take(D - j) {
+            row = core::array::from_fn(|i| row[i] + moment * behind[i]);
+        }
         let mut beside_them = scale.sqrt();
         for i in j..D {
             root[j][i] = beside_them * row[i];

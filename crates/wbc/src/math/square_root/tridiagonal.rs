@@ -14,12 +14,26 @@ pub(super) struct Tridiagonal<const D: usize, T> {
 }
 
 impl<const D: usize, T: Scalar> Tridiagonal<D, T> {
+    #[cfg(test)]
+    pub(super) fn of(a: &[[T; D]; D]) -> Self {
+        let mut t = Self::unset();
+        t.reduce(a);
+        t
+    }
+
+    /// Room for a matrix that is reduced where it stands: returned, it would be copied.
+    #[inline]
+    pub(super) fn unset() -> Self {
+        let zero = T::zero();
+        Self { diagonal: [zero; D], beside: [zero; D], reflections: [([zero; D], zero); D] }
+    }
+
     /// Reduces a symmetric matrix by reflections, from its first column on.
     #[inline]
-    pub(super) fn of(a: &[[T; D]; D]) -> Self {
-        let zero = T::zero();
+    pub(super) fn reduce(&mut self, a: &[[T; D]; D]) {
+        const { assert!(D <= LARGEST, "what `reflect` knows") }
+        let (t, zero) = (self, T::zero());
         let mut rest = *a;
-        let mut t = Self { diagonal: [zero; D], beside: [zero; D], reflections: [([zero; D], zero); D] };
         for k in 0..D.saturating_sub(2) {
             let (v, beta) = &mut t.reflections[k];
             *v = rest[k];
@@ -31,14 +45,13 @@ impl<const D: usize, T: Scalar> Tridiagonal<D, T> {
             if half > zero {
                 v[k + 1] = first - reflected;
                 *beta = T::one() / half;
-                reflect(&mut rest, v, *beta, [k + 1; 2]);
+                reflect(&mut rest, v, *beta, k, Columns::Last);
             }
         }
         t.diagonal = core::array::from_fn(|i| rest[i][i]);
         if D > 1 {
             t.beside[D - 2] = rest[D - 2][D - 1];
         }
-        t
     }
 
     pub(super) fn trace(&self) -> T {
@@ -49,7 +62,10 @@ impl<const D: usize, T: Scalar> Tridiagonal<D, T> {
     #[inline]
     pub(super) fn turn_back(&self, f: &mut [[T; D]; D]) {
         for (k, (v, beta)) in self.reflections[..D.saturating_sub(2)].iter().enumerate().rev() {
-            reflect(f, v, *beta, [k + 1, 0]);
+            reflect(f, v, *beta, k, Columns::All);
+            for j in k + 1..D {
+                f[j][k] = f[k][j];
+            }
         }
     }
 
@@ -65,17 +81,55 @@ impl<const D: usize, T: Scalar> Tridiagonal<D, T> {
     }
 }
 
-/// (I − β·v·vᵀ)·A·(I − β·v·vᵀ) of a symmetric A, of its columns from `first` on; v is zero before its row `begins`.
-#[inline(never)]
-fn reflect<const D: usize, T: Scalar>(a: &mut [[T; D]; D], v: &[T; D], beta: T, [begins, first]: [usize; 2]) {
-    let mut p = [T::zero(); D];
-    for j in begins..D {
-        p = core::array::from_fn(|i| p[i] + a[j][i] * v[j]);
+/// Rows of the largest matrix.
+const LARGEST: usize = 6;
+
+/// Columns of a reflected matrix that are wanted.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Columns {
+    All,
+    /// Those in which both sides change.
+    Last,
+}
+
+/// (I − β·v·vᵀ)·A·(I − β·v·vᵀ) of a symmetric A, in its last rows: v is zero down to its entry `k`.
+#[inline]
+fn reflect<const D: usize, T: Scalar>(a: &mut [[T; D]; D], v: &[T; D], beta: T, k: usize, columns: Columns) {
+    match D - 1 - k {
+        1 => reflect_last::<1, D, T>(a, v, beta, columns),
+        2 => reflect_last::<2, D, T>(a, v, beta, columns),
+        3 => reflect_last::<3, D, T>(a, v, beta, columns),
+        4 => reflect_last::<4, D, T>(a, v, beta, columns),
+        _ => reflect_last::<5, D, T>(a, v, beta, columns),
+    }
+}
+
+/// [`reflect`] of the last W rows and columns: their number is known, so that nothing is computed of those before.
+#[inline]
+fn reflect_last<const W: usize, const D: usize, T: Scalar>(
+    a: &mut [[T; D]; D],
+    v: &[T; D],
+    beta: T,
+    columns: Columns,
+) {
+    let Some(v) = v.last_chunk::<W>() else { return };
+    let (before, last) = a.split_at_mut(D - W);
+    if columns == Columns::All {
+        for column in before {
+            let Some(rows) = column.last_chunk_mut::<W>() else { return };
+            let share = dot(v, rows) * beta;
+            *rows = core::array::from_fn(|i| rows[i] - v[i] * share);
+        }
+    }
+    let mut p = [T::zero(); W];
+    for (column, &v_j) in last.iter().zip(v) {
+        let Some(rows) = column.last_chunk::<W>() else { return };
+        p = core::array::from_fn(|i| p[i] + rows[i] * v_j);
     }
     let share = dot(&p, v) * beta * of(0.5);
-    let w: [T; D] = core::array::from_fn(|i| (p[i] - share * v[i]) * beta);
-    for j in first..D {
-        let (v_j, w_j) = (v[j], w[j]);
-        a[j] = core::array::from_fn(|i| a[j][i] - (v[i] * w_j + w[i] * v_j));
+    let w: [T; W] = core::array::from_fn(|i| (p[i] - share * v[i]) * beta);
+    for (column, (&v_j, &w_j)) in last.iter_mut().zip(v.iter().zip(&w)) {
+        let Some(rows) = column.last_chunk_mut::<W>() else { return };
+        *rows = core::array::from_fn(|i| rows[i] - (v[i] * w_j + w[i] * v_j));
     }
 }
