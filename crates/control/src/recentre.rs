@@ -13,7 +13,7 @@ use crate::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
 use crate::supervisor::Touch;
 use moca_msgs::{Outcome, Parameters, PostureOffset, Refusal, RobotState};
-use moca_wbc::nalgebra::{Matrix3, Quaternion, UnitQuaternion, Vector2, Vector3};
+use moca_wbc::nalgebra::{Matrix3, Vector2, Vector3};
 use moca_wbc::{BaseGuard, ControlLaw, ControlOutput, rotation};
 use serde::{Deserialize, Serialize};
 
@@ -211,25 +211,31 @@ impl Recentre {
         state.bounds_body[0] = std::array::from_fn(|i| state.bounds_body[0][i].min(velocity[i]).min(0.0));
         state.bounds_body[1] = std::array::from_fn(|i| state.bounds_body[1][i].max(velocity[i]).max(0.0));
         let posture = self.place.filter(|_| law == ControlLaw::Impedance);
-        self.offset = posture.map(|place| offset(&place, robot, output, state.recentring));
+        self.offset = posture.map(|place| offset(&place, robot, (sin, cos), output, state.recentring));
     }
 }
 
-/// Displacement of the base that would bring the tool to its place in the posture.
+/// Displacement of the base, whose yaw has this sine and cosine, that would bring the tool to its place in the posture.
 fn offset(
     place: &PosturePlace,
     robot: &RobotState<JOINTS>,
+    (sin, cos): (f64, f64),
     output: &ControlOutput<JOINTS>,
     recentring: bool,
 ) -> PostureOffset {
-    let [x, y, yaw] = robot.base_pose_world;
-    let about_z = |angle: f64| rotation::from_rpy([0.0, 0.0, angle]);
-    let [qx, qy, qz, qw] = output.flange.quaternion_world;
-    let tool = UnitQuaternion::from_quaternion(Quaternion::new(qw, qx, qy, qz)).to_rotation_matrix();
-    let turned = about_z(-yaw) * tool * place.rotation_base.transpose();
-    let angle_rad = (turned[(1, 0)] - turned[(0, 1)]).atan2(turned[(0, 0)] + turned[(1, 1)]);
-    let wanted = about_z(yaw + angle_rad) * place.position_base;
+    let tool = rotation::from_quaternion(output.flange.quaternion_world);
+    // the yaw in W at which the tool on the base would be turned least from where it is
+    let turned = |i: usize, j: usize| tool.row(i).dot(&place.rotation_base.row(j));
+    let toward = Vector2::new(turned(0, 0) + turned(1, 1), turned(1, 0) - turned(0, 1));
+    let angle_rad = (cos * toward.y - sin * toward.x).atan2(cos * toward.x + sin * toward.y);
+    let toward = toward.try_normalize(0.0).unwrap_or(Vector2::new(cos, sin));
+    let [x, y, _] = robot.base_pose_world;
     let [tool_x, tool_y, _] = output.flange.position_world;
+    let posture = place.position_base;
+    let wanted = Vector2::new(
+        toward.x * posture.x - toward.y * posture.y,
+        toward.y * posture.x + toward.x * posture.y,
+    );
     let distance_m = Vector2::new(tool_x - wanted.x - x, tool_y - wanted.y - y).norm();
     PostureOffset { distance_m, angle_rad, recentring }
 }

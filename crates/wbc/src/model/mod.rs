@@ -127,7 +127,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         rates: (T, &[T; N]),
         out: &mut Dynamics<N, T>,
     ) -> (TurningInertia<T>, (Vector3<T>, Vector3<T>)) {
-        let mut felt = [Felt::nothing(); N];
+        let mut felt = [[T::zero(); 6]; N];
         self.place_moving::<S>(place, rates, &mut out.kinematics, &mut felt);
         let composite = self.compose::<S>(out);
         let composite = S::of(&self.chain.joints[0]).inertia_in_parent(&out.kinematics.turn[0], &composite);
@@ -219,7 +219,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         (yaw, q): (T, &[T; N]),
         (yaw_rate, dq): (T, &[T; N]),
         out: &mut Kinematics<N, T>,
-        felt: &mut [Felt<T>; N],
+        felt: &mut [Wrench<T>; N],
     ) {
         let chain = &self.chain;
         let mut omega = chain.up * yaw_rate;
@@ -243,12 +243,14 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
             let row = |i: usize, [a, b, c]: [T; 3]| u[(i, 0)] * a + u[(i, 1)] * b + u[(i, 2)] * c;
             let (of_x, of_y, of_z) = ([xx, xy, xz], [xy, yy, yz], [xz, yz, zz]);
             let a = &acceleration;
-            felt[i].force = u.column(0) * hx + u.column(1) * hy;
-            felt[i].moment = Vector3::new(
+            felt[i] = [
+                u[(0, 0)] * hx + u[(0, 1)] * hy,
+                u[(1, 0)] * hx + u[(1, 1)] * hy,
+                u[(2, 0)] * hx + u[(2, 1)] * hy,
                 row(2, of_y) - row(1, of_z) + hy * a.z,
                 row(0, of_z) - row(2, of_x) - hx * a.z,
                 row(1, of_x) - row(0, of_y) + (hx * a.y - hy * a.x),
-            );
+            ];
         });
     }
 
@@ -257,14 +259,15 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     #[inline(never)]
     fn bear<S: Seat<T>>(
         &self,
-        felt: &[Felt<T>; N],
+        felt: &[Wrench<T>; N],
         turn: &[Turn<T>; N],
         torque: &mut [T; N],
     ) -> (Vector3<T>, Vector3<T>) {
         let (mut force, mut moment) = (Vector3::zeros(), Vector3::zeros());
         for i in (0..N).rev() {
-            force += felt[i].force;
-            moment += felt[i].moment;
+            let [fx, fy, fz, mx, my, mz] = felt[i];
+            force += Vector3::new(fx, fy, fz);
+            moment += Vector3::new(mx, my, mz);
             torque[i] = moment.z;
             (force, moment) = S::of(&self.chain.joints[i]).in_parent(&turn[i], (force, moment));
         }
@@ -377,19 +380,8 @@ pub(crate) struct Load<T> {
     pub moment: Vector3<T>,
 }
 
-/// Wrench that keeps a link on its path: about its origin, in its axes.
-#[derive(Clone, Copy)]
-struct Felt<T> {
-    force: Vector3<T>,
-    moment: Vector3<T>,
-}
-
-impl<T: Scalar> Felt<T> {
-    #[inline]
-    fn nothing() -> Self {
-        Self { force: Vector3::zeros(), moment: Vector3::zeros() }
-    }
-}
+/// Force and moment that keep a link on its path: about its origin, in its axes.
+type Wrench<T> = [T; 6];
 
 /// U = \[α\]× + \[ω\]×².
 #[inline]
