@@ -217,8 +217,7 @@ impl<const N: usize> ClosedLoop<N> {
         // the observer's own step, with the model that the law believes in
         let model = self.controller.model();
         let believed = model.dynamics(0.0, q, dq);
-        let momentum = believed.momentum(&[0.0; 3], dq);
-        let drift = model.momentum_drift(&believed.kinematics, &[0.0; 3], dq);
+        let (momentum, drift) = model.momentum(&believed.kinematics, &[0.0; 3], dq);
         let gravity = believed.gravity();
         let share = -(-dt_s / time_s).exp_m1();
         for i in 0..N {

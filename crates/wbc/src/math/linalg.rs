@@ -29,21 +29,15 @@ impl<const D: usize, T: Scalar> Cholesky<D, T> {
     /// Factorises the lower triangle of `a`; `None` if it is not positive definite or not finite.
     #[inline]
     pub fn new(a: &SMatrix<T, D, D>) -> Option<Self> {
-        let mut factor = Self::unset();
-        factor.factorise(&a.data.0).then_some(factor)
+        let zero = [T::zero(); D];
+        let mut factor = Self { columns: a.data.0, diagonal: zero, inverse_diagonal: zero };
+        factor.factorise().then_some(factor)
     }
 
-    /// Room for a factorisation that is made where it stands: returned, it would be copied.
-    fn unset() -> Self {
-        let zero = T::zero();
-        Self { columns: [[zero; D]; D], diagonal: [zero; D], inverse_diagonal: [zero; D] }
-    }
-
-    /// Becomes the factorisation of `a`; false if it is not positive definite or not finite.
+    /// Factorises what `columns` hold; false if it is not positive definite or not finite.
     #[inline]
-    fn factorise(&mut self, a: &[[T; D]; D]) -> bool {
+    fn factorise(&mut self) -> bool {
         let Self { columns, diagonal, inverse_diagonal } = self;
-        *columns = *a;
         // no early return: straight-line code is what compilers make fast, and NaN only stays NaN
         let mut definite = true;
         for k in 0..D {

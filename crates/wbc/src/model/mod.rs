@@ -96,7 +96,11 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     /// Forward kinematics at base yaw `yaw` and joint angles `q`, rad.
     pub fn kinematics(&self, yaw: T, q: &[T; N]) -> Kinematics<N, T> {
         let mut kinematics = Kinematics::unset();
-        self.place(yaw, q, &mut kinematics);
+        if self.chain.is_square {
+            self.place::<Square<T>>(yaw, q, &mut kinematics);
+        } else {
+            self.place::<Joint<T>>(yaw, q, &mut kinematics);
+        }
         kinematics
     }
 
@@ -123,12 +127,13 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     #[inline]
     fn dynamics_by<S: Seat<T>>(
         &self,
-        place: (T, &[T; N]),
+        (yaw, q): (T, &[T; N]),
         rates: (T, &[T; N]),
         out: &mut Dynamics<N, T>,
     ) -> (TurningInertia<T>, (Vector3<T>, Vector3<T>)) {
         let mut felt = [[T::zero(); 6]; N];
-        self.place_moving::<S>(place, rates, &mut out.kinematics, &mut felt);
+        self.place::<S>(yaw, q, &mut out.kinematics);
+        self.feel::<S>(rates, &out.kinematics.turn, &mut felt);
         let composite = self.compose::<S>(out);
         let composite = S::of(&self.chain.joints[0]).inertia_in_parent(&out.kinematics.turn[0], &composite);
         (composite, self.bear::<S>(&felt, &out.kinematics.turn, &mut out.bias))
@@ -136,35 +141,22 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
 
     /// Out along the arm: where everything is. Written where it stands: returned, it would be copied.
     #[inline(never)]
-    fn place(&self, yaw: T, q: &[T; N], out: &mut Kinematics<N, T>) {
-        self.place_and::<Joint<T>>(yaw, q, out, |_, _| {});
-    }
-
-    /// [`Self::place`], and on the way `what` else of each link is found from how its joint is turned: two chains of which
-    /// neither waits for the other.
-    #[inline]
-    fn place_and<S: Seat<T>>(
-        &self,
-        yaw: T,
-        q: &[T; N],
-        out: &mut Kinematics<N, T>,
-        mut what: impl FnMut(usize, &Turn<T>),
-    ) {
+    fn place<S: Seat<T>>(&self, yaw: T, q: &[T; N], out: &mut Kinematics<N, T>) {
         let chain = &self.chain;
         let angles: [T; N] = core::array::from_fn(|i| q[i] + chain.joints[i].zero);
         let (yawed, turns) = Turn::all(yaw, &angles);
         out.turn = core::array::from_fn(|i| turns[i].times(chain.joints[i].sense));
         out.heading = yawed.into();
         out.base_rotation = out.heading.matrix();
-        out.arm_from_base = out.base_rotation * self.mount.origin;
-        let (mut axes, mut position) = (out.base_rotation * chain.root_axes, Vector3::zeros());
+        out.arm_from_base = yawed.about_z(&self.mount.origin);
+        let [x, y, z] = [0, 1, 2].map(|i| yawed.about_z(&chain.root_axes.column(i).into_owned()));
+        let (mut axes, mut position) = (Matrix3::from_columns(&[x, y, z]), Vector3::zeros());
         for i in 0..N {
             let seat = S::of(&chain.joints[i]);
             position += seat.offset_by(&axes);
             axes = out.turn[i].frame_about_z(&seat.twisted(&axes));
             out.link_axes[i] = axes;
             out.joint_position[i] = position;
-            what(i, &out.turn[i]);
         }
         out.flange_position = position + axes * chain.flange.origin;
         out.tool_position = position + axes * chain.tool.origin;
@@ -208,27 +200,21 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         composite
     }
 
-    /// [`Self::place`], and what each link feels (force and moment about its origin, in its axes) by Newton–Euler with zero
-    /// joint accelerations on a base that turns at `yaw_rate`, constant.
+    /// Out along the arm that is in its place: what each link feels (force and moment about its origin, in its axes) by Newton–Euler
+    /// with zero joint accelerations on a base that turns at `yaw_rate`, constant.
     ///
     /// Acceleration of a body's points: that of its origin and U = \[α\]× + \[ω\]×². Then f = U·h, and the moment about the origin is
     /// h × a and the skew part of U·Σ, Σ its second moments.
     #[inline(never)]
-    fn place_moving<S: Seat<T>>(
-        &self,
-        (yaw, q): (T, &[T; N]),
-        (yaw_rate, dq): (T, &[T; N]),
-        out: &mut Kinematics<N, T>,
-        felt: &mut [Wrench<T>; N],
-    ) {
+    fn feel<S: Seat<T>>(&self, (yaw_rate, dq): (T, &[T; N]), turn: &[Turn<T>; N], felt: &mut [Wrench<T>; N]) {
         let chain = &self.chain;
         let mut omega = chain.up * yaw_rate;
         let mut alpha = Vector3::zeros();
         let mut acceleration = self.root_acceleration(yaw_rate);
         let mut u = by_turning(&omega, &alpha);
-        self.place_and::<S>(yaw, q, out, |i, turn| {
+        for i in 0..N {
             let (seat, body) = (S::of(&chain.joints[i]), &chain.links[i]);
-            let turn = turn.back();
+            let turn = turn[i].back();
             let into = |v: &Vector3<T>| turn.about_z(&seat.inwards(v));
             acceleration = into(&(acceleration + seat.offset_by(&u)));
             omega = into(&omega);
@@ -251,7 +237,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
                 row(0, of_z) - row(2, of_x) - hx * a.z,
                 row(1, of_x) - row(0, of_y) + (hx * a.y - hy * a.x),
             ];
-        });
+        }
     }
 
     /// Back along the arm: joint torques from what the links feel. Gives the force and moment on the chain's root, in its
@@ -282,28 +268,29 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         self.chain.up * of::<T>(GRAVITY_M_S2) + self.chain.root_axes.tr_mul(&inwards)
     }
 
-    /// Cᵀq̇, N·m, what a momentum observer needs beside the momentum itself: ∂T/∂q, the momentum that each joint's moving
-    /// axis carries, (v_i × S_i)·h_i. The base moves at `base_velocity_world` (m/s, m/s, rad/s).
-    pub fn momentum_drift(
+    /// What a momentum observer needs: the arm's generalised momentum p = M_A q̇_A + M_AB q̇_B = S_i·h_i, N·m·s, and its drift
+    /// Cᵀq̇ = ∂T/∂q, N·m, the momentum that each joint's moving axis carries, (v_i × S_i)·h_i. The base moves at
+    /// `base_velocity_world` (m/s, m/s, rad/s).
+    pub fn momentum(
         &self,
         kinematics: &Kinematics<N, T>,
         base_velocity_world: &[T; 3],
         dq: &[T; N],
-    ) -> [T; N] {
+    ) -> ([T; N], [T; N]) {
         if self.chain.is_square {
-            self.momentum_drift_by::<Square<T>>(kinematics, base_velocity_world, dq)
+            self.momentum_by::<Square<T>>(kinematics, base_velocity_world, dq)
         } else {
-            self.momentum_drift_by::<Joint<T>>(kinematics, base_velocity_world, dq)
+            self.momentum_by::<Joint<T>>(kinematics, base_velocity_world, dq)
         }
     }
 
     #[inline(never)]
-    fn momentum_drift_by<S: Seat<T>>(
+    fn momentum_by<S: Seat<T>>(
         &self,
         kinematics: &Kinematics<N, T>,
         base_velocity_world: &[T; 3],
         dq: &[T; N],
-    ) -> [T; N] {
+    ) -> ([T; N], [T; N]) {
         let chain = &self.chain;
         let [vx, vy, yaw_rate] = kinematics.heading.to_base(*base_velocity_world);
         let lever = &self.mount.origin;
@@ -318,7 +305,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
             omega.z += dq[i];
             twists[i] = (velocity, omega);
         }
-        let mut drift = [T::zero(); N];
+        let (mut momentum, mut drift) = ([T::zero(); N], [T::zero(); N]);
         let (mut linear, mut angular) = (Vector3::zeros(), Vector3::zeros());
         for i in (0..N).rev() {
             let (body, turn) = (&chain.links[i], &kinematics.turn[i]);
@@ -328,10 +315,11 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
             let of_velocity = Vector3::new(hy * v.z, -hx * v.z, hx * v.y - hy * v.x);
             linear += Vector3::new(-hy * w.z, hx * w.z, hy * w.x - hx * w.y);
             angular += symmetric_times(&body.rotational, w) + of_velocity;
+            momentum[i] = angular.z;
             drift[i] = w.y * angular.x - w.x * angular.y + v.y * linear.x - v.x * linear.y;
             (linear, angular) = S::of(&chain.joints[i]).in_parent(turn, (linear, angular));
         }
-        drift
+        (momentum, drift)
     }
 
     /// [`crate::coupled::CoupledDynamics`] without what stands on the base: `arm` becomes kinematics, arm, coupling, and
@@ -513,16 +501,6 @@ impl<const N: usize, T: Scalar> Dynamics<N, T> {
     #[inline]
     pub fn gravity(&self) -> [T; N] {
         self.lift.map(|lift| lift * of(GRAVITY_M_S2))
-    }
-
-    /// Generalised momentum of the arm, p = M_A q̇_A + M_AB q̇_B, N·m·s.
-    #[inline]
-    pub fn momentum(&self, base_velocity_world: &[T; 3], dq: &[T; N]) -> [T; N] {
-        let (of_arm, of_base) = (
-            crate::linalg::times(&self.mass, dq),
-            crate::linalg::times(&self.base_coupling, base_velocity_world),
-        );
-        core::array::from_fn(|i| of_arm[i] + of_base[i])
     }
 }
 

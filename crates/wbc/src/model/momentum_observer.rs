@@ -48,9 +48,8 @@ impl<const N: usize, T: Scalar> MomentumObserver<N, T> {
         self.started = false;
     }
 
-    /// One step: momentum and Cᵀq̇ now (see [`crate::model::Dynamics::momentum`] and
-    /// [`crate::ArmModel::momentum_drift`]), gravity torques now, and the
-    /// joint torques that acted since the last step. Implicit in r: stable for every step.
+    /// One step: momentum and its drift Cᵀq̇ now ([`crate::ArmModel::momentum`]), gravity torques now, and the joint torques that
+    /// acted since the last step. Implicit in r: stable for every step.
     pub fn update(
         &mut self,
         (momentum, drift): &([T; N], [T; N]),

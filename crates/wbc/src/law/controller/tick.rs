@@ -177,10 +177,9 @@ impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
         }
         let (robot, kinematics) = (self.robot, self.kinematics);
         let (base_velocity, dq) = (&robot.base_velocity_world, &robot.dq_rad_s);
-        let momentum = self.dynamics.momentum(base_velocity, dq);
-        let drift = self.model.momentum_drift(kinematics, base_velocity, dq);
+        let momentum = self.model.momentum(kinematics, base_velocity, dq);
         let gravity = self.dynamics.gravity();
-        state.observer.update(&(momentum, drift), &gravity, &robot.torque_measured_nm, self.dt_s);
+        state.observer.update(&momentum, &gravity, &robot.torque_measured_nm, self.dt_s);
         let torque = state.observer.external_torque();
         let about_tool = match arm {
             Some(arm) => arm.felt_wrench(torque)?,
