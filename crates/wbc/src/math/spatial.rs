@@ -140,7 +140,7 @@ impl<T: Scalar> Turn<T> {
         (of_first, turns)
     }
 
-    /// With both multiplied by a sign: a half turn more for −1.
+    /// Turn with both multiplied by a sign: a half turn more for −1.
     #[inline]
     pub(crate) fn times(&self, sign: T) -> Self {
         Self { sin: self.sin * sign, cos: self.cos * sign }

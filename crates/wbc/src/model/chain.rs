@@ -7,8 +7,8 @@
 //! link to link 0. Exact, both: only rounding tells a table from its normal form.
 //!
 //! No twist is negative: Rx(−t) is Rx(t) between two half turns about z, which change the signs of a joint's sine and cosine. The
-//! first joint's place is the root's, so that its twist can be any. An arm all of whose axes meet the one before at a right angle, in
-//! the plane of its offset, needs no product to pass a joint's twist: [`Square`].
+//! root's axes are free, so that the first twist is a right angle. Where all are, and no offset has a part along the axis before, a
+//! twist exchanges coordinates and needs no product: [`Square`].
 
 use crate::rotation;
 use crate::scalar::{Scalar, all, of};
@@ -52,7 +52,7 @@ pub(crate) trait Seat<T: Scalar>: Copy {
     /// Rx·v: from twisted axes to those of the link before.
     fn outwards(&self, v: &Vector3<T>) -> Vector3<T>;
 
-    /// Rxᵀ·v: the way back from [`Self::out`].
+    /// Rxᵀ·v: the way back from [`Self::outwards`].
     fn inwards(&self, v: &Vector3<T>) -> Vector3<T>;
 
     /// Rx·I·Rxᵀ.
@@ -79,7 +79,7 @@ pub(crate) trait Seat<T: Scalar>: Copy {
         (force, self.outwards(&turn.about_z(&moment)) + self.offset_cross(&force))
     }
 
-    /// What a body's inertia about the origin of the link behind a joint is in the axes of the link before, about its origin.
+    /// Inertia about the origin of the link behind a joint, in its axes: about the origin of the link before, in its axes.
     #[inline]
     fn inertia_in_parent(&self, turn: &Turn<T>, inertia: &TurningInertia<T>) -> TurningInertia<T> {
         let first_moment = self.outwards(&turn.about_z(&inertia.first_moment));

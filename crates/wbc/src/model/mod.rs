@@ -1,8 +1,8 @@
 //! Kinematics and dynamics of a serial arm on a yawing base: one set of recursions for any table of
 //! [`moca_msgs::robot`], or of a URDF.
 //!
-//! [`ArmModel::new`] brings a table to normal form once (see `chain.rs`). [`ArmModel::dynamics`] then goes once out along
-//! the arm and once back: poses and Jacobian in world axes, relative to the arm base's origin (A), so that they lose no
+//! [`ArmModel::new`] brings a table to normal form once (see `chain.rs`). [`ArmModel::dynamics`] then goes out along
+//! the arm and back: poses and Jacobian in world axes, relative to the arm base's origin (A), so that they lose no
 //! digits to the base's place in the world; forces and inertias in the links' own axes, where they turn for least.
 //!
 //! ```
@@ -268,7 +268,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         self.chain.up * of::<T>(GRAVITY_M_S2) + self.chain.root_axes.tr_mul(&inwards)
     }
 
-    /// What a momentum observer needs: the arm's generalised momentum p = M_A q̇_A + M_AB q̇_B = S_i·h_i, N·m·s, and its drift
+    /// Input of a momentum observer: the arm's generalised momentum p = M_A q̇_A + M_AB q̇_B = S_i·h_i, N·m·s, and its drift
     /// Cᵀq̇ = ∂T/∂q, N·m, the momentum that each joint's moving axis carries, (v_i × S_i)·h_i. The base moves at
     /// `base_velocity_world` (m/s, m/s, rad/s).
     pub fn momentum(
