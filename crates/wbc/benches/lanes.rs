@@ -4,7 +4,6 @@
 //! - Only the law and the engine can be computed in lanes. The cover's bytes, supervision and records of a whole tick
 //!   (`cargo bench -p moca-daemon --bench loop`) cannot.
 //! - Robots that are pressed in different places take different branches of limits and guards. Lanes compute both sides.
-//! - Vectors of a single robot fill registers already, so that four lanes gain less than a factor of four.
 //!
 //! Raced here is what suits lanes best, because it has no branch: from joint angles and mass matrix to J_A·M_A⁻¹·J_Aᵀ. `--bench tick`
 //! has whole steps of the law in `f32`.
