@@ -465,7 +465,7 @@ mod tests {
             (room_m_s + LIMIT_M_S + hasty_m_s).abs() < 1e-12,
             "a doubtful one, no faster than can be taken back: {room_m_s}"
         );
-        assert!(left_m_s(100.0, 3.0, true, true) < 1.5 * room_m_s, "as much as it needs, once it is certain");
+        assert!(left_m_s(100.0, 3.0, true, true) < room_m_s, "as much as it needs, once it is certain");
         assert!(left_m_s(100.0, 0.0, true, false) < 0.0, "a frame below zero does not end the alarm");
         assert!(left_m_s(100.0, 3.0, false, false) > 1.0, "without an alarm a light force is none");
     }
