@@ -9,8 +9,9 @@ use moca_msgs::{ContactRow, ParameterError, RobotState, TaxelStatus};
 use moca_tactile::model::{FoamMemory, TaxelModel};
 use moca_wbc::contact_barrier::{
     BarrierInput, BarrierSettings, BarrierState, CURVE_POINTS, ContactBarrier, ContactLimits, FoamCurve,
-    TOUCH_N, TaxelSample,
+    STOP_SHARE, TOUCH_N, TaxelSample,
 };
+use moca_wbc::guard::CoverOutline;
 use moca_wbc::reach::ArmReach;
 use moca_wbc::{ArmModel, ControlError, FlangePose};
 use serde::{Deserialize, Serialize};
@@ -26,8 +27,7 @@ pub struct Barrier {
     /// Readings count from the first alarm on, also below the counts at which a contact begins: a late base has no time to wait for
     /// them.
     counts_light: bool,
-    /// Fastest that the base makes room for a doubtful touch, m/s: somebody may stand on the other side.
-    light_m_s: f64,
+    haste: Haste,
     /// Deceleration of the base's servo, m/s², m/s², rad/s².
     deceleration: [f64; 3],
     /// Flange from the base in the last tick, axes of B, m.
@@ -35,10 +35,68 @@ pub struct Barrier {
     rows: heapless::Vec<ContactRow, MAX_CONTACT_ROWS>,
 }
 
+/// Room for touches that may be false alarms. Somebody may stand on the other side: the base goes no further back than it may
+/// drive in the same time, and [`Self::way_m`] beyond that.
+#[derive(Clone, Debug)]
+struct Haste {
+    /// Fastest that the base may drive, m/s.
+    drives_m_s: f64,
+    /// Way that the base itself may press a foam, m.
+    way_m: f64,
+    /// Share of the deceleration that is counted on.
+    braking_share: f64,
+    state: HasteState,
+}
+
+/// Memory of a [`Haste`].
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct HasteState {
+    /// Order in force, axes of B, m/s, m/s, rad/s.
+    ordered_body: [f64; 3],
+    /// Way back of each taxel beyond what the base may drive, m.
+    #[serde(with = "serde_big_array::BigArray")]
+    gone_m: [f64; TAXELS],
+}
+
+impl Haste {
+    fn new(settings: &BarrierSettings, plates: f64) -> Self {
+        Self {
+            drives_m_s: 0.0,
+            way_m: settings.foam.depth_m(STOP_SHARE * settings.force_limit_n / plates),
+            braking_share: settings.braking_share,
+            state: HasteState { ordered_body: [0.0; 3], gone_m: [0.0; TAXELS] },
+        }
+    }
+
+    /// Lets the order count for `dt_s`, and returns the fastest that a doubtful taxel may make room, m/s. It can still be taken back
+    /// within the way that is left, by a base that brakes with `deceleration_m_s2`.
+    fn fastest_m_s(
+        &mut self,
+        i: usize,
+        outline: &CoverOutline<TAXELS, f64>,
+        deceleration: &[f64; 3],
+        dt_s: f64,
+    ) -> f64 {
+        let back_m_s = -outline.outward(i, &self.state.ordered_body);
+        let gone_m = &mut self.state.gone_m[i];
+        *gone_m = (*gone_m + (back_m_s - self.drives_m_s) * dt_s).max(0.0);
+        let left_m = (self.way_m - *gone_m).max(0.0);
+        let braking_m_s2 = self.braking_share * outline.deceleration(i, deceleration);
+        self.drives_m_s + (2.0 * braking_m_s2 * left_m).sqrt()
+    }
+
+    /// Lets `dt_s` pass without a doubtful touch.
+    fn forget(&mut self, i: usize, dt_s: f64) {
+        let gone_m = &mut self.state.gone_m[i];
+        *gone_m = (*gone_m - self.drives_m_s * dt_s).max(0.0);
+    }
+}
+
 /// Memory of a [`Barrier`] between ticks.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct BarrierMemory {
     contacts: BarrierState<TAXELS>,
+    haste: HasteState,
     flange_body_m: Option<[f64; 2]>,
     rows: heapless::Vec<ContactRow, MAX_CONTACT_ROWS>,
 }
@@ -64,7 +122,7 @@ impl Barrier {
             light: [false; TAXELS],
             doubtful: [false; TAXELS],
             counts_light: settings.order_delay_s > 0.0,
-            light_m_s: 0.0,
+            haste: Haste::new(&settings, f64::from(config.protection.plates.max(1))),
             deceleration: [
                 base.acceleration_max_m_s2,
                 base.acceleration_max_m_s2,
@@ -79,6 +137,7 @@ impl Barrier {
     pub fn state(&self) -> BarrierMemory {
         BarrierMemory {
             contacts: self.contacts.state().clone(),
+            haste: self.haste.state.clone(),
             flange_body_m: self.flange_body_m,
             rows: self.rows.clone(),
         }
@@ -87,13 +146,14 @@ impl Barrier {
     /// Goes on from where `state` was taken.
     pub fn restore(&mut self, state: &BarrierMemory) {
         self.contacts.restore(&state.contacts);
+        self.haste.state.clone_from(&state.haste);
         self.flange_body_m = state.flange_body_m;
         self.rows.clone_from(&state.rows);
     }
 
     /// Takes in what the cover says in the tick at `now_ns`, in which the speed limit is `limit_m_s`.
     pub fn take_cover(&mut self, now_ns: u64, cover: &CoverState, limit_m_s: f64) {
-        self.light_m_s = limit_m_s;
+        self.haste.drives_m_s = limit_m_s;
         let early = &cover.poll.early;
         self.light = early.light;
         self.doubtful = std::array::from_fn(|i| self.counts_light && early.light[i] && !early.certain[i]);
@@ -123,8 +183,16 @@ impl Barrier {
         input.light = self.light;
         input.tool_base_m = self.flange_body_m.filter(|_| holds_place);
         let mut limits = self.contacts.update(&input)?;
-        let doubtful = limits.outward_m_s.iter_mut().zip(self.doubtful).filter(|(_, doubtful)| *doubtful);
-        doubtful.for_each(|(most, _)| *most = most.max(-self.light_m_s));
+        if self.counts_light {
+            let outline = self.contacts.outline();
+            for (i, (most, doubtful)) in limits.outward_m_s.iter_mut().zip(self.doubtful).enumerate() {
+                if doubtful {
+                    *most = most.max(-self.haste.fastest_m_s(i, outline, &deceleration, dt_s));
+                } else {
+                    self.haste.forget(i, dt_s);
+                }
+            }
+        }
         self.rows.clear();
         let bounded = (0_u8..).zip(limits.outward_m_s).filter(|(_, allowed_m_s)| allowed_m_s.is_finite());
         for (taxel, allowed_m_s) in bounded.take(MAX_CONTACT_ROWS) {
@@ -144,8 +212,10 @@ impl Barrier {
 
     /// Takes the order to the base, axes of B: m/s, m/s, rad/s. One that is not finite is never carried out.
     pub fn ordered(&mut self, velocity_body: &[f64; 3]) {
-        if self.contacts.ordered(velocity_body).is_err() {
-            self.contacts.forget_orders();
+        if self.contacts.ordered(velocity_body).is_ok() {
+            self.haste.state.ordered_body = *velocity_body;
+        } else {
+            self.leave();
         }
         for row in &mut self.rows {
             let outward_m_s = self.contacts.outline().outward(usize::from(row.taxel), velocity_body);
@@ -156,6 +226,7 @@ impl Barrier {
     /// The base is told to stand: nothing that was ordered before counts.
     pub fn leave(&mut self) {
         self.contacts.forget_orders();
+        self.haste.state.ordered_body = [0.0; 3];
     }
 
     /// Returns the rows of the last tick, taxel by taxel.
@@ -326,6 +397,44 @@ mod tests {
         }
     }
 
+    /// Compression at which the base itself may press, m.
+    fn may_press_m() -> f64 {
+        struck(&Config::default().robot.cover).depth_m(0.3165 * 25.0)
+    }
+
+    #[test]
+    fn false_alarms_move_late_base_by_bounded_way() {
+        const FRONT: usize = 5;
+        const LIMIT_M_S: f64 = 0.01;
+        let mut config = Config::default();
+        config.set("protection.contact_barrier", &"pu-ld30".into()).unwrap();
+        config.protection.order_delay_ms = 100.0;
+        let mut barrier = Barrier::new::<7>(&config, None).unwrap().unwrap();
+        let mut cover = CoverState::NONE;
+        cover.poll.early.light_n[FRONT] = 3.0;
+        let (mut order_m_s, mut back_m, mut beyond_m) = (0.0_f64, 0.0, [0.0; 3]);
+        for ms in 0..1500_u64 {
+            // two alarms of which none becomes certain, and a time between them
+            cover.poll.early.light[FRONT] = !(400..500).contains(&ms);
+            cover.poll.reading.sampled_at_ns = Some(ms / 10 * 10_000_000);
+            barrier.take_cover(1_000_000 * ms, &cover, LIMIT_M_S);
+            let limits = barrier.update(&RobotState::at_rest([0.0; JOINTS]), [3.0; 3], false, 1e-3).unwrap();
+            // as far back as the base is let, within its acceleration
+            let wanted_m_s = limits.outward_m_s[FRONT].min(0.0).max(-0.3);
+            order_m_s = wanted_m_s.clamp(order_m_s - 3e-3, order_m_s + 3e-3);
+            barrier.ordered(&[order_m_s, 0.0, 0.0]);
+            back_m -= 1e-3 * order_m_s;
+            #[expect(clippy::cast_precision_loss, reason = "a small count")]
+            let gone_m = back_m - 1e-3 * LIMIT_M_S * (ms + 1) as f64;
+            for (end_ms, beyond_m) in [50, 400, 1500].into_iter().zip(&mut beyond_m) {
+                *beyond_m = if ms < end_ms { gone_m.max(*beyond_m) } else { *beyond_m };
+            }
+        }
+        let [soon_m, first_m, both_m] = beyond_m.map(|beyond_m| beyond_m / may_press_m());
+        assert!(soon_m > 0.5, "{soon_m}");
+        assert!(first_m > 0.9 && both_m < 1.02, "{first_m} {both_m}");
+    }
+
     #[test]
     fn late_base_makes_room_from_the_first_alarm_on() {
         const FRONT: usize = 5;
@@ -351,14 +460,12 @@ mod tests {
         };
         assert!(left_m_s(0.0, 3.0, true, true) >= 0.0, "a base that obeys at once waits for a reading");
         let room_m_s = left_m_s(100.0, 3.0, true, false);
+        let hasty_m_s = (2.0 * 0.7 * 3.0 * may_press_m()).sqrt();
         assert!(
-            (room_m_s + LIMIT_M_S).abs() < 1e-12,
-            "a doubtful one, no faster than it may drive: {room_m_s}"
+            (room_m_s + LIMIT_M_S + hasty_m_s).abs() < 1e-12,
+            "a doubtful one, no faster than can be taken back: {room_m_s}"
         );
-        assert!(
-            left_m_s(100.0, 3.0, true, true) < -2.0 * LIMIT_M_S,
-            "as much as it needs, once it is certain"
-        );
+        assert!(left_m_s(100.0, 3.0, true, true) < room_m_s, "as much as it needs, once it is certain");
         assert!(left_m_s(100.0, 0.0, true, false) < 0.0, "a frame below zero does not end the alarm");
         assert!(left_m_s(100.0, 3.0, false, false) > 1.0, "without an alarm a light force is none");
     }

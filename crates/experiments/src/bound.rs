@@ -102,9 +102,20 @@ impl Meeting {
     /// body and base are integrated, the base within the limits of its servo and of its orders. When it takes an order after the alarm
     /// is as it suits the law best.
     pub fn least_of_any_law_n(&self, closing: &Closing) -> f64 {
+        self.least_at_phases_n(closing).fold(f64::INFINITY, f64::min)
+    }
+
+    /// Force below which no law can promise to stay, N: as [`Self::least_of_any_law_n`], but the base takes an order after the alarm
+    /// when it suits the law worst. A law does not know the phase beforehand.
+    pub fn least_to_promise_n(&self, closing: &Closing) -> f64 {
+        self.least_at_phases_n(closing).fold(0.0, f64::max)
+    }
+
+    /// That force for each phase of the orders against the alarm.
+    fn least_at_phases_n(&self, closing: &Closing) -> impl Iterator<Item = f64> {
         let shares = if closing.order_period_s > 0.0 { PHASES } else { 1 };
-        let phase_s = |phase| closing.order_period_s * f64::from(phase) / f64::from(shares);
-        (0..shares).map(|phase| self.least_at_phase_n(closing, phase_s(phase))).fold(f64::INFINITY, f64::min)
+        let phase_s = move |phase| closing.order_period_s * f64::from(phase) / f64::from(shares);
+        (0..shares).map(move |phase| self.least_at_phase_n(closing, phase_s(phase)))
     }
 
     /// That force where the base takes its first order `phase_s` after the alarm.
@@ -188,6 +199,12 @@ fn no_law_beats_bound_of_any_law() {
     };
     let [each_n, seldom_n, late_n] = [seldom(0.0), seldom(0.02), held(0.05, 0.0, felt_s + 0.02)];
     assert!(each_n < seldom_n && seldom_n < late_n, "{each_n} {seldom_n} {late_n} N");
+    // and can promise no more than of its worst phase
+    let promised_n = |order_period_s| {
+        meeting.least_to_promise_n(&Closing { order_period_s, ..closing(0.05, 0.0, felt_s) })
+    };
+    assert!((promised_n(0.0) - each_n).abs() < 1e-12, "{each_n} N");
+    assert!(promised_n(0.02) > seldom_n && promised_n(0.02) < late_n, "{seldom_n} {late_n} N");
     let loose = Mobility::Standing { mass_kg: 3.0, stiffness_n_per_m: 800.0, damping_n_s_per_m: 300.0 };
     let free_n = meeting.least_of_any_law_n(&Closing { mobility: loose, ..closing(0.2, 0.0, felt_s) });
     assert!(free_n < held(0.2, 0.0, felt_s), "a light body yields");

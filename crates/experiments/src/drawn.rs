@@ -31,6 +31,7 @@ const RESULTS: &[Column<Met>] = &[
     ("peak_after_s", |met| format!("{:.3}", met.one.peak_after_s)),
     ("noticed_after_s", |met| format!("{:.3}", met.one.noticed_after_s)),
     ("least_n", |met| format!("{:.2}", met.least_n)),
+    ("promised_n", |met| format!("{:.2}", met.promised_n)),
     ("first_peak_n", |met| format!("{:.2}", met.one.first_peak_n)),
     ("later_n", |met| format!("{:.2}", met.one.later_n)),
     ("flange_mm", |met| format!("{:.2}", met.one.flange_mm)),
@@ -228,17 +229,20 @@ impl Drawn {
         let walk_m_s = settings.person.walk_m_s;
         let person =
             settings.collision_scene()?.people.first().map_or(Mobility::Fixed, |person| person.mobility);
-        let limits = &settings.config.limits;
-        let least_n = there.least_of_any_law_n(&Closing {
+        let (limits, truth) = (&settings.config.limits, &settings.config.simulation.truth.base);
+        let closing = Closing {
             base_m_s: one.approach_m_s - walk_m_s,
             walk_m_s,
             mobility: person,
             felt_after_s: one.noticed_after_s,
             flees_m_s: limits.base_velocity[0],
             order_m_s2: limits.base_acceleration[0],
-            order_period_s: 1e-3 * settings.config.simulation.truth.base.order_period_ms,
-        });
-        Ok(Met { limit_m_s, gap_m: settings.person.gap_m, least_n, one })
+            order_period_s: 1e-3 * truth.order_period_ms,
+        };
+        let least_n = there.least_of_any_law_n(&closing);
+        let order_delay_s = 1e-3 * (truth.order_delay_ms + truth.order_jitter_ms);
+        let promised_n = bound::Meeting { order_delay_s, ..there }.least_to_promise_n(&closing);
+        Ok(Met { limit_m_s, gap_m: settings.person.gap_m, least_n, promised_n, one })
     }
 
     fn row(&self, id: usize) -> Result<String> {
@@ -259,6 +263,8 @@ struct Met {
     gap_m: f64,
     /// Force that no law can avoid, N.
     least_n: f64,
+    /// Force below which no law can promise to stay, N.
+    promised_n: f64,
     one: Outcome,
 }
 

@@ -387,6 +387,31 @@ fn late_base_remembers_how_fast_a_walker_came() {
     }
 }
 
+/// The base drives at 5 mm/s, and reads the foam twice alike: by that alone nobody would come. A late base does not believe it yet.
+#[test]
+fn late_base_believes_in_a_walker_until_the_third_reading() {
+    let person_m_s = |order_delay_s: f64| {
+        let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
+        let settings = settings.with_late_orders(order_delay_s, 0.0, 0.0).unwrap();
+        let mut barrier: ContactBarrier<11> = ContactBarrier::new(&PAPER_COVER, &settings).unwrap();
+        [0.0, 5.0, 5.0, 5.0].map(|force_n| {
+            let mut known = 0.0;
+            for age in 0..15_u8 {
+                let age_s = DT_S * f64::from(age);
+                let mut samples = [Some(TaxelSample { force_n: 0.0, age_s }); 11];
+                samples[FRONT] = Some(TaxelSample { force_n, age_s });
+                let input = BarrierInput::new(samples, [0.006, 0.0, 0.0], [3.0; 3], DT_S);
+                known = barrier.update(&input).unwrap().person_m_s[FRONT];
+            }
+            known
+        })
+    };
+    let [_, prompt, second, _] = person_m_s(0.0);
+    assert!(prompt > 0.1 && second < 1e-9, "{prompt} {second}");
+    let [_, late, second, third] = person_m_s(0.05);
+    assert!(late > 0.1 && second >= 0.1 && third < 0.1, "{late} {second} {third}");
+}
+
 /// A flat body on three plates, each as deep as the body: as stiff as three. Every plate reads a third of its force.
 #[test]
 fn force_limit_is_shared_among_plates_of_one_body() {

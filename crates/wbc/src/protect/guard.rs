@@ -148,7 +148,7 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
     }
 
     /// Deceleration of a taxel outward, m/s², with all axes of the base at their own.
-    pub(crate) fn deceleration(&self, taxel: usize, of_axes: &[T; 3]) -> T {
+    pub fn deceleration(&self, taxel: usize, of_axes: &[T; 3]) -> T {
         self.map.columns().get(taxel).map_or(T::zero(), |inward| {
             let [x, y, lever] = [0, 1, 2].map(|j| inward[j].abs() * of_axes[j]);
             x + y + lever
