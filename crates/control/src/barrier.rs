@@ -420,7 +420,7 @@ mod tests {
             barrier.take_cover(1_000_000 * ms, &cover, LIMIT_M_S);
             let limits = barrier.update(&RobotState::at_rest([0.0; JOINTS]), [3.0; 3], false, 1e-3).unwrap();
             // as far back as the base is let, within its acceleration
-            let wanted_m_s = limits.outward_m_s[FRONT].min(0.0).max(-0.3);
+            let wanted_m_s = limits.outward_m_s[FRONT].clamp(-0.3, 0.0);
             order_m_s = wanted_m_s.clamp(order_m_s - 3e-3, order_m_s + 3e-3);
             barrier.ordered(&[order_m_s, 0.0, 0.0]);
             back_m -= 1e-3 * order_m_s;

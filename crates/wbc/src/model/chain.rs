@@ -236,7 +236,6 @@ impl<const N: usize> Chain<N, f64> {
             joints[parent].sense *= sense;
             bodies[parent] = bodies[parent].rotated(&axes.transpose());
         }
-        #[expect(clippy::float_cmp, reason = "only an exact right angle is an exchange of coordinates")]
         let is_square = joints.iter().all(|joint| joint.twist == SQUARE && joint.offset.z == 0.0);
         let mut links = [TurningInertia::zero(); N];
         for i in (0..N).rev() {
