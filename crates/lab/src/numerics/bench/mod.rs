@@ -70,7 +70,7 @@ impl Row {
 
 /// Larger error of two; NaN stays, which `f64::max` would drop.
 fn larger(largest: f64, error: f64) -> f64 {
-    if error <= largest { largest } else { error }
+    if error <= largest || largest.is_nan() { largest } else { error }
 }
 
 /// Rows of a part, and the peers that are missing for others.
