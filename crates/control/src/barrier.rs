@@ -11,7 +11,6 @@ use moca_wbc::contact_barrier::{
     BarrierInput, BarrierSettings, BarrierState, CURVE_POINTS, ContactBarrier, ContactLimits, FoamCurve,
     STOP_SHARE, TOUCH_N, TaxelSample,
 };
-use moca_wbc::guard::CoverOutline;
 use moca_wbc::reach::ArmReach;
 use moca_wbc::{ArmModel, ControlError, FlangePose};
 use serde::{Deserialize, Serialize};
@@ -45,16 +44,7 @@ struct Haste {
     way_m: f64,
     /// Share of the deceleration that is counted on.
     braking_share: f64,
-    state: HasteState,
-}
-
-/// Memory of a [`Haste`].
-#[derive(Clone, Debug, Serialize, Deserialize)]
-struct HasteState {
-    /// Order in force, axes of B, m/s, m/s, rad/s.
-    ordered_body: [f64; 3],
     /// Way back of each taxel beyond what the base may drive, m.
-    #[serde(with = "serde_big_array::BigArray")]
     gone_m: [f64; TAXELS],
 }
 
@@ -64,30 +54,22 @@ impl Haste {
             drives_m_s: 0.0,
             way_m: settings.foam.depth_m(STOP_SHARE * settings.force_limit_n / plates),
             braking_share: settings.braking_share,
-            state: HasteState { ordered_body: [0.0; 3], gone_m: [0.0; TAXELS] },
+            gone_m: [0.0; TAXELS],
         }
     }
 
-    /// Lets the order count for `dt_s`, and returns the fastest that a doubtful taxel may make room, m/s. It can still be taken back
-    /// within the way that is left, by a base that brakes with `deceleration_m_s2`.
-    fn fastest_m_s(
-        &mut self,
-        i: usize,
-        outline: &CoverOutline<TAXELS, f64>,
-        deceleration: &[f64; 3],
-        dt_s: f64,
-    ) -> f64 {
-        let back_m_s = -outline.outward(i, &self.state.ordered_body);
-        let gone_m = &mut self.state.gone_m[i];
+    /// Lets an order back count for `dt_s`, and returns the fastest that a doubtful taxel may make room, m/s. It can still be taken
+    /// back within the way that is left, by a base that brakes with `deceleration_m_s2`.
+    fn fastest_m_s(&mut self, i: usize, back_m_s: f64, deceleration_m_s2: f64, dt_s: f64) -> f64 {
+        let gone_m = &mut self.gone_m[i];
         *gone_m = (*gone_m + (back_m_s - self.drives_m_s) * dt_s).max(0.0);
         let left_m = (self.way_m - *gone_m).max(0.0);
-        let braking_m_s2 = self.braking_share * outline.deceleration(i, deceleration);
-        self.drives_m_s + (2.0 * braking_m_s2 * left_m).sqrt()
+        self.drives_m_s + (2.0 * self.braking_share * deceleration_m_s2 * left_m).sqrt()
     }
 
     /// Lets `dt_s` pass without a doubtful touch.
     fn forget(&mut self, i: usize, dt_s: f64) {
-        let gone_m = &mut self.state.gone_m[i];
+        let gone_m = &mut self.gone_m[i];
         *gone_m = (*gone_m - self.drives_m_s * dt_s).max(0.0);
     }
 }
@@ -96,7 +78,8 @@ impl Haste {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct BarrierMemory {
     contacts: BarrierState<TAXELS>,
-    haste: HasteState,
+    #[serde(with = "serde_big_array::BigArray")]
+    gone_m: [f64; TAXELS],
     flange_body_m: Option<[f64; 2]>,
     rows: heapless::Vec<ContactRow, MAX_CONTACT_ROWS>,
 }
@@ -137,7 +120,7 @@ impl Barrier {
     pub fn state(&self) -> BarrierMemory {
         BarrierMemory {
             contacts: self.contacts.state().clone(),
-            haste: self.haste.state.clone(),
+            gone_m: self.haste.gone_m,
             flange_body_m: self.flange_body_m,
             rows: self.rows.clone(),
         }
@@ -146,7 +129,7 @@ impl Barrier {
     /// Goes on from where `state` was taken.
     pub fn restore(&mut self, state: &BarrierMemory) {
         self.contacts.restore(&state.contacts);
-        self.haste.state.clone_from(&state.haste);
+        self.haste.gone_m = state.gone_m;
         self.flange_body_m = state.flange_body_m;
         self.rows.clone_from(&state.rows);
     }
@@ -183,11 +166,13 @@ impl Barrier {
         input.light = self.light;
         input.tool_base_m = self.flange_body_m.filter(|_| holds_place);
         let mut limits = self.contacts.update(&input)?;
-        if self.counts_light {
+        if let Some(order) = self.contacts.order_in_force() {
             let outline = self.contacts.outline();
             for (i, (most, doubtful)) in limits.outward_m_s.iter_mut().zip(self.doubtful).enumerate() {
                 if doubtful {
-                    *most = most.max(-self.haste.fastest_m_s(i, outline, &deceleration, dt_s));
+                    let (back_m_s, braking) =
+                        (-outline.outward(i, order), outline.deceleration(i, &deceleration));
+                    *most = most.max(-self.haste.fastest_m_s(i, back_m_s, braking, dt_s));
                 } else {
                     self.haste.forget(i, dt_s);
                 }
@@ -212,10 +197,8 @@ impl Barrier {
 
     /// Takes the order to the base, axes of B: m/s, m/s, rad/s. One that is not finite is never carried out.
     pub fn ordered(&mut self, velocity_body: &[f64; 3]) {
-        if self.contacts.ordered(velocity_body).is_ok() {
-            self.haste.state.ordered_body = *velocity_body;
-        } else {
-            self.leave();
+        if self.contacts.ordered(velocity_body).is_err() {
+            self.contacts.forget_orders();
         }
         for row in &mut self.rows {
             let outward_m_s = self.contacts.outline().outward(usize::from(row.taxel), velocity_body);
@@ -226,7 +209,6 @@ impl Barrier {
     /// The base is told to stand: nothing that was ordered before counts.
     pub fn leave(&mut self) {
         self.contacts.forget_orders();
-        self.haste.state.ordered_body = [0.0; 3];
     }
 
     /// Returns the rows of the last tick, taxel by taxel.

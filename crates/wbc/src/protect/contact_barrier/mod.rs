@@ -464,6 +464,11 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
         Ok(())
     }
 
+    /// Returns the order in force of a base whose orders are late, axes of B, m/s, m/s, rad/s; `None` for one that obeys at once.
+    pub fn order_in_force(&self) -> Option<&[T; 3]> {
+        self.state.orders.as_ref().map(Orders::last)
+    }
+
     /// Forgets the orders: the base is told to stand.
     pub fn forget_orders(&mut self) {
         if let Some(orders) = &mut self.state.orders {

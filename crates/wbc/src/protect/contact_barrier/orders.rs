@@ -37,6 +37,11 @@ impl<T: Scalar> Orders<T> {
         self.last = *velocity;
     }
 
+    /// Order in force, axes of B, m/s, m/s, rad/s.
+    pub(super) const fn last(&self) -> &[T; 3] {
+        &self.last
+    }
+
     /// The last order has been in force for `dt_s`. A place is full once it holds its share of `delay_s`.
     pub(super) fn advance(&mut self, dt_s: T, delay_s: T) {
         #[expect(clippy::cast_precision_loss, reason = "a small count")]

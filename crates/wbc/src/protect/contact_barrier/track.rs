@@ -372,12 +372,13 @@ impl<T: Scalar> Track<T> {
         // Readings are averaged. What the first one had to assume is replaced by the second where the base itself moved, and
         // counts like any other where it stood, or is late: who touches it then has come, or may have.
         let recent = interval / interval.max(of(settings.speed_s));
-        let counts = self.came() || settings.remember_s > 0.0;
+        let late = settings.remember_s > 0.0;
+        let counts = self.came() || late;
         let seen = touch.readings.saturating_add(u8::from(counts)).max(1);
         let weight = recent.max(T::one() / of(f64::from(seen)));
         let person = self.person + weight * (raw - self.person);
         self.person = person.clamp(of(-NOISE_M_S), of(settings.fastest_person_m_s));
-        if settings.remember_s > 0.0 && touch.readings < ASSUMED {
+        if late && touch.readings < ASSUMED {
             self.person = self.person.max(of(settings.first_speed_m_s));
         }
         touch.rate += weight * (rate - touch.rate);
