@@ -78,11 +78,13 @@ impl Haste {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct BarrierMemory {
     contacts: BarrierState<TAXELS>,
-    #[serde(with = "serde_big_array::BigArray")]
-    gone_m: [f64; TAXELS],
     flange_body_m: Option<[f64; 2]>,
     rows: heapless::Vec<ContactRow, MAX_CONTACT_ROWS>,
 }
+
+/// Way back of each taxel for touches that were doubtful, beyond what the base may drive, m.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct DoubtfulWay(#[serde(with = "serde_big_array::BigArray")] [f64; TAXELS]);
 
 impl Barrier {
     /// As configured; `None` where there is none.
@@ -120,16 +122,21 @@ impl Barrier {
     pub fn state(&self) -> BarrierMemory {
         BarrierMemory {
             contacts: self.contacts.state().clone(),
-            gone_m: self.haste.gone_m,
             flange_body_m: self.flange_body_m,
             rows: self.rows.clone(),
         }
     }
 
-    /// Goes on from where `state` was taken.
-    pub fn restore(&mut self, state: &BarrierMemory) {
+    /// Returns what has been gone back for doubtful touches; `None` for nothing.
+    pub fn doubtful_way(&self) -> Option<DoubtfulWay> {
+        let gone_m = self.haste.gone_m;
+        gone_m.iter().any(|gone_m| *gone_m > 0.0).then_some(DoubtfulWay(gone_m))
+    }
+
+    /// Goes on from where `state` and `way` were taken.
+    pub fn restore(&mut self, state: &BarrierMemory, way: Option<&DoubtfulWay>) {
         self.contacts.restore(&state.contacts);
-        self.haste.gone_m = state.gone_m;
+        self.haste.gone_m = way.map_or([0.0; TAXELS], |way| way.0);
         self.flange_body_m = state.flange_body_m;
         self.rows.clone_from(&state.rows);
     }
@@ -400,6 +407,13 @@ mod tests {
             cover.poll.early.light[FRONT] = !(400..500).contains(&ms);
             cover.poll.reading.sampled_at_ns = Some(ms / 10 * 10_000_000);
             barrier.take_cover(1_000_000 * ms, &cover, LIMIT_M_S);
+            if ms == 50 {
+                let gone = barrier.doubtful_way();
+                let mut restored = Barrier::new::<7>(&config, None).unwrap().unwrap();
+                assert!(gone.is_some() && restored.doubtful_way().is_none(), "{gone:?}");
+                restored.restore(&barrier.state(), gone.as_ref());
+                assert_eq!(restored.doubtful_way(), gone);
+            }
             let limits = barrier.update(&RobotState::at_rest([0.0; JOINTS]), [3.0; 3], false, 1e-3).unwrap();
             // as far back as the base is let, within its acceleration
             let wanted_m_s = limits.outward_m_s[FRONT].clamp(-0.3, 0.0);

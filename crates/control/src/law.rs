@@ -285,6 +285,7 @@ impl Motion {
             beyond: Beyond {
                 flange: self.flange.as_ref().map(|flange| flange.wrench.state()),
                 object: self.object,
+                doubtful_way: self.barrier.as_deref().and_then(Barrier::doubtful_way),
             },
         }
     }
@@ -301,7 +302,10 @@ impl Motion {
         self.controller.restore(&state.controller)?;
         self.take_parameters(&parameters);
         self.protection.restore(&state.protection);
-        restored(self.barrier.as_deref_mut(), state.barrier.as_ref(), Barrier::restore)?;
+        let doubtful_way = state.beyond.doubtful_way.as_ref();
+        restored(self.barrier.as_deref_mut(), state.barrier.as_ref(), |barrier, state| {
+            barrier.restore(state, doubtful_way);
+        })?;
         restored(self.push_cap.as_mut(), state.push_cap.as_ref(), PushCap::restore)?;
         restored(self.base_watch.as_mut(), state.base_watch.as_ref(), BaseWatch::restore)?;
         restored(self.uncovered.as_mut(), state.uncovered.as_ref(), Uncovered::restore)?;

@@ -1,7 +1,7 @@
 //! Memory of the loop between ticks that is not in the configuration: plain data that can be copied. A replay that begins in
 //! the middle of a run begins with it.
 
-use crate::barrier::BarrierMemory;
+use crate::barrier::{BarrierMemory, DoubtfulWay};
 use crate::base_watch::BaseWatchState;
 use crate::compensation::CompensationState;
 use crate::flange_sensor::FlangeState;
@@ -63,6 +63,8 @@ pub struct Beyond {
     pub flange: Option<FlangeState>,
     /// Object in the hand, flange's axes.
     pub object: Option<LinkInertial>,
+    /// Room that a late base made for doubtful touches.
+    pub doubtful_way: Option<DoubtfulWay>,
 }
 
 /// Memory of the controller of a robot's parts: one variant each, with its conversions to and from a controller's own state.

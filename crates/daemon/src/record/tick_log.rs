@@ -238,7 +238,8 @@ pub(super) mod tests {
         let mut config = Config::default();
         config.plant.flange_sensor = FlangeSensorKind::Simulated;
         let flange = motion(&config).unwrap().state().beyond.flange;
-        record.state.motion.beyond = Beyond { flange, object: Some(Payload::NONE.inertial) };
+        record.state.motion.beyond =
+            Beyond { flange, object: Some(Payload::NONE.inertial), doubtful_way: None };
         let with = record.encode();
         assert!(with.starts_with(&without) && flange.is_some());
         assert_eq!(StateRecord::decode(&with).unwrap().state.motion.beyond, record.state.motion.beyond);
