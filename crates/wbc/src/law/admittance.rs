@@ -65,10 +65,10 @@ pub(crate) fn damped_in_null_space<const N: usize, T: Scalar>(
     let mass = &gains.virtual_mass;
     let free = weighted.free_base_mass();
     let q: [T; 3] = core::array::from_fn(|i| (gains.virtual_damping[i] / mass[i]).sqrt());
-    let system = Matrix3::from_fn(|i, j| {
-        let inertia = if i == j { mass[i] / dt_s } else { T::zero() };
-        inertia + q[i] * free[(i, j)] * q[j]
-    });
+    let mut system = Matrix3::from_fn(|i, j| q[i] * free[(i, j)] * q[j]);
+    for i in 0..3 {
+        system[(i, i)] += mass[i] / dt_s;
+    }
     let factor =
         Cholesky::new_shifted(&system).ok_or(ControlError::NotPositiveDefinite { what: "base damping" })?;
     let z = factor.solve(&core::array::from_fn(|i| q[i] * (mass[i] / dt_s * velocity[i] + force[i])));

@@ -13,7 +13,7 @@ use std::fs::File;
 use std::hint::black_box;
 use std::io::{BufRead as _, BufReader};
 use std::path::Path;
-use std::process::Command;
+use std::process::{Command, ExitStatus};
 use std::string::{String, ToString as _};
 
 /// Bytes of a line of the caches.
@@ -83,10 +83,27 @@ pub fn measured(command: &Path, arguments: &[&str]) -> Result<Option<Footprint>,
     let counted = if done.status.success() {
         counted(&String::from_utf8(done.stdout)?, &trace)
     } else {
-        Err(String::from_utf8_lossy(&done.stderr).into())
+        Err(reason(done.status, &String::from_utf8_lossy(&done.stderr), &trace).into())
     };
     let _ = std::fs::remove_file(&trace);
     counted.map(Some)
+}
+
+/// Why a program failed under valgrind: what it said, and what valgrind could not run. A valgrind older than the compiler
+/// lacks an instruction now and then.
+fn reason(status: ExitStatus, said: &str, trace: &Path) -> String {
+    let mut reason = format!("under valgrind the program ended with {status}");
+    let unknown = File::open(trace).ok().and_then(|trace| {
+        BufReader::new(trace)
+            .lines()
+            .map_while(Result::ok)
+            .find(|line| line.contains("unhandled instruction bytes"))
+    });
+    for part in [said.trim(), &unknown.unwrap_or_default()].into_iter().filter(|part| !part.is_empty()) {
+        reason.push_str(": ");
+        reason.push_str(part);
+    }
+    reason
 }
 
 fn counted(marks: &str, trace: &Path) -> Result<Footprint, Box<dyn Error>> {
