@@ -303,8 +303,8 @@ mod tests {
         }
         let text = std::fs::read_to_string(CAMPAIGN).unwrap();
         let grid = Grid::new(2, 1);
-        // under the barrier
-        for id in [1, 4] {
+        // each way of meeting, each law, and plates that are pressed to the end of what a board can read
+        for id in [0, 1, 4, 9, 37, 66, 183] {
             let fresh = grid.row(id).unwrap();
             assert!(text.lines().any(|line| line == fresh), "{fresh}");
         }
