@@ -10,7 +10,7 @@ use moca_lockstep::inject::Injection;
 use moca_lockstep::simulated_robot::{self, SimulatedRobot};
 use moca_lockstep::touch_board::ByteCover;
 use moca_lockstep::{Feed, LockStep, MemoryBoards, TrueForces};
-use moca_msgs::{Mode, Sample, TaxelStatus, seconds};
+use moca_msgs::{ContactRow, Mode, Sample, TaxelStatus, seconds};
 use moca_sim::Scene;
 use moca_sim::StepsSpent;
 
@@ -75,8 +75,8 @@ pub struct Row {
     pub largest_force_n: f64,
     /// Position of the person in W, m; `None` without one.
     pub person_world: Option<[f64; 2]>,
-    /// The contact barrier bounds the base for somebody who touches, however lightly.
-    pub is_bounded: bool,
+    /// Taxels at which the contact barrier holds somebody for pressing, however lightly.
+    pub pressed: [bool; TAXELS],
 }
 
 impl Row {
@@ -85,6 +85,18 @@ impl Row {
         let [x, y, z] = std::array::from_fn(|i| self.flange_world[i] - self.flange_desired_world[i]);
         (x * x + y * y + z * z).sqrt()
     }
+}
+
+#[cfg(test)]
+#[test]
+fn flight_changes_orders_from_its_row_on() {
+    let flight =
+        Flight { row: 7, acceleration_body: [-3.0, 0.0, 6.0], fastest: [0.5, 0.5, 0.2], changes_s: 0.05 };
+    let order_body = |row| flight.order_body(&[0.1, 0.02, 0.0], row, 1e-3);
+    let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12);
+    assert!(near(order_body(7), [0.097, 0.02, 0.006]), "{:?}", order_body(7));
+    assert!(near(order_body(26), [0.04, 0.02, 0.12]), "{:?}", order_body(26));
+    assert!(near(order_body(500), [-0.05, 0.02, 0.2]), "{:?}", order_body(500));
 }
 
 enum SensorModel {
@@ -106,6 +118,33 @@ pub struct Rig {
     pub frame_rate_hz: f64,
     /// Simulated time, starting included, s.
     pub sim_s: f64,
+    /// Orders of the base that are not the controller's.
+    pub flight: Option<Flight>,
+}
+
+/// Flight of the base, whatever its controller orders: all that a law could do that knew at once what comes.
+#[derive(Clone, Copy, Debug)]
+pub struct Flight {
+    /// Row from which on the base flees.
+    pub row: usize,
+    /// Change of the order, axes of B, m/s², m/s², rad/s².
+    pub acceleration_body: [f64; 3],
+    /// Fastest order along each axis, m/s, m/s, rad/s.
+    pub fastest: [f64; 3],
+    /// Time for which it changes at most, s.
+    pub changes_s: f64,
+}
+
+impl Flight {
+    /// Order of the tick of row `row`, axes of B, where `before_body` was the controller's last one.
+    fn order_body(&self, before_body: &[f64; 3], row: usize, period_s: f64) -> [f64; 3] {
+        #[expect(clippy::cast_precision_loss, reason = "tick counts are far below 2^53")]
+        let flees_s = ((row + 1 - self.row) as f64 * period_s).min(self.changes_s);
+        std::array::from_fn(|axis| {
+            let order = before_body[axis] + flees_s * self.acceleration_body[axis];
+            order.clamp(-self.fastest[axis], self.fastest[axis])
+        })
+    }
 }
 
 /// Steps until a law moves the robot, and returns the sample that says so.
@@ -159,6 +198,7 @@ impl Rig {
             stopped: None,
             frame_rate_hz: 0.0,
             sim_s: 0.0,
+            flight: None,
         };
         rig.robot().world.set_people_waiting(true);
         loop {
@@ -261,6 +301,11 @@ impl Rig {
         if *loads != self.loads {
             self.push(loads)?;
         }
+        if let Some(flight) = self.flight.filter(|flight| (1..=self.rows.len()).contains(&flight.row)) {
+            let before_body = self.rows[flight.row - 1].base_command_body;
+            let order_body = flight.order_body(&before_body, self.rows.len(), self.period_s);
+            self.robot().world.take_over_base(Some(order_body))?;
+        }
         let robot = self.robot();
         let force_true = fixed(robot.world.taxel_force_true_n());
         let wrench_true = robot.world.cover_wrench_true_base();
@@ -302,7 +347,10 @@ impl Rig {
             total_force_n,
             largest_force_n,
             person_world,
-            is_bounded: !sample.contact_rows.is_empty(),
+            pressed: std::array::from_fn(|i| {
+                let of_taxel = |row: &&ContactRow| usize::from(row.taxel) == i;
+                sample.contact_rows.iter().find(of_taxel).is_some_and(|row| row.depth_m > 0.0)
+            }),
         });
         Ok(sample.mode)
     }

@@ -1,7 +1,7 @@
 //! Meetings drawn at random: robot, base, foam, person, board, lead and walk from stated ranges. What the controller believes is what
 //! commissioning of that robot measures.
 
-use crate::bound::{self, Closing};
+use crate::bound;
 use crate::campaign::{Column, Table, cells, names};
 use crate::commissioning;
 use crate::meeting::{Meeting, Outcome};
@@ -9,12 +9,15 @@ use crate::settings::Settings;
 use anyhow::{Result, anyhow};
 use moca_control::protection::nominal_speed_m_s;
 use moca_msgs::Law;
-use moca_sim::Mobility;
 use moca_sim::sensor::Noise;
 use std::fmt::Write as _;
 
 /// Time in which the base, at its speed limit, or the person comes as far as the other, s.
 const COMES_S: [f64; 2] = [2.0, 6.0];
+/// Who stands is watched for so long from the touch on, s,
+const WATCHED_S: f64 = 3.0;
+/// and who walks, who may follow a base that makes room.
+const FOLLOWED_S: f64 = 10.0;
 /// Smallest distance of the person from the cover at the start, m.
 const GAP_MIN_M: f64 = 0.002;
 /// Half the distance of two taxels in front, and on a side, m: from the middle of a plate to its seam.
@@ -31,7 +34,6 @@ const RESULTS: &[Column<Met>] = &[
     ("peak_after_s", |met| format!("{:.3}", met.one.peak_after_s)),
     ("noticed_after_s", |met| format!("{:.3}", met.one.noticed_after_s)),
     ("least_n", |met| format!("{:.2}", met.least_n)),
-    ("promised_n", |met| format!("{:.2}", met.promised_n)),
     ("first_peak_n", |met| format!("{:.2}", met.one.first_peak_n)),
     ("later_n", |met| format!("{:.2}", met.one.later_n)),
     ("flange_mm", |met| format!("{:.2}", met.one.flange_mm)),
@@ -203,10 +205,6 @@ impl Drawn {
         Ok((settings, limit_m_s))
     }
 
-    fn walks(&self) -> bool {
-        self.get("person.walk").parse().is_ok_and(|walk_m_s: f64| walk_m_s > 0.0)
-    }
-
     /// Cover, body and base as they are.
     fn meeting_there(&self, settings: &Settings) -> bound::Meeting {
         let truth = &settings.config.simulation.truth.base;
@@ -214,9 +212,9 @@ impl Drawn {
             foam: settings.true_foam().stiffened(f64::from(settings.person.plates.max(1))),
             tissue_n_m: settings.person.tissue_stiffness(),
             limit_n: settings.config.protection.force_limit_n,
-            deceleration_m_s2: if self.walks() { truth.acceleration_m_s2 } else { truth.deceleration_m_s2 },
+            deceleration_m_s2: truth.deceleration_m_s2,
             servo_s: 1e-3 * truth.servo_ms,
-            order_delay_s: 1e-3 * (truth.order_delay_ms - truth.order_jitter_ms).max(0.0),
+            order_delay_s: 1e-3 * (truth.order_delay_ms + truth.order_jitter_ms),
             board: settings.firmware,
             sharing: 1.0,
         }
@@ -225,24 +223,13 @@ impl Drawn {
     fn run(&self, id: usize) -> Result<Met> {
         let (settings, limit_m_s) = self.settings().map_err(|error| anyhow!("run {id}: {error:#}"))?;
         let there = self.meeting_there(&settings);
-        let one = Outcome::of(self.meeting, &there, &settings)?;
-        let walk_m_s = settings.person.walk_m_s;
-        let person =
-            settings.collision_scene()?.people.first().map_or(Mobility::Fixed, |person| person.mobility);
-        let (limits, truth) = (&settings.config.limits, &settings.config.simulation.truth.base);
-        let closing = Closing {
-            base_m_s: one.approach_m_s - walk_m_s,
-            walk_m_s,
-            mobility: person,
-            felt_after_s: one.noticed_after_s,
-            flees_m_s: limits.base_velocity[0],
-            order_m_s2: limits.base_acceleration[0],
-            order_period_s: 1e-3 * truth.order_period_ms,
-        };
-        let least_n = there.least_of_any_law_n(&closing);
-        let order_delay_s = 1e-3 * (truth.order_delay_ms + truth.order_jitter_ms);
-        let promised_n = bound::Meeting { order_delay_s, ..there }.least_to_promise_n(&closing);
-        Ok(Met { limit_m_s, gap_m: settings.person.gap_m, least_n, promised_n, one })
+        let watched_s = if settings.person.walk_m_s > 0.0 { FOLLOWED_S } else { WATCHED_S };
+        let one = Outcome::of(self.meeting, &there, &settings, watched_s)?;
+        let mut least_n = one.peak_n;
+        if let Some(alarm) = one.alarm.filter(|_| one.peak_n > there.limit_n) {
+            least_n = least_n.min(self.meeting.least_of_any_law_n(&settings, &alarm)?);
+        }
+        Ok(Met { limit_m_s, gap_m: settings.person.gap_m, least_n, one })
     }
 
     fn row(&self, id: usize) -> Result<String> {
@@ -261,10 +248,8 @@ struct Met {
     limit_m_s: f64,
     /// Distance of the person from the cover at the start, m.
     gap_m: f64,
-    /// Force that no law can avoid, N.
+    /// Least force that any law has left, N: this one, or where that is above the limit one that knew what comes.
     least_n: f64,
-    /// Force below which no law can promise to stay, N.
-    promised_n: f64,
     one: Outcome,
 }
 
@@ -312,6 +297,24 @@ impl Table for Meetings {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::meeting::Alarm;
+
+    /// A walker at a seam, whom the law gives less room than all axes together do.
+    #[test]
+    fn any_law_leaves_more_the_later_its_alarm() {
+        let drawn = Drawn::of(1, 5289);
+        let (settings, _) = drawn.settings().unwrap();
+        let one = Outcome::of(drawn.meeting, &drawn.meeting_there(&settings), &settings, WATCHED_S).unwrap();
+        let alarm = one.alarm.unwrap();
+        let least_n = |later: usize| {
+            drawn.meeting.least_of_any_law_n(&settings, &Alarm { row: alarm.row + later, ..alarm }).unwrap()
+        };
+        let [at_once_n, later_n, never_n] = [least_n(0), least_n(30), least_n(2000)];
+        assert!(at_once_n < one.peak_n - 1.0, "{at_once_n} {} N", one.peak_n);
+        assert!(later_n > at_once_n + 1.0, "{at_once_n} {later_n} N");
+        // by then the law itself has made room
+        assert!((never_n - one.peak_n).abs() < 1e-9, "{never_n} {} N", one.peak_n);
+    }
 
     #[test]
     fn a_meeting_follows_from_seed_and_number_alone() {

@@ -2,18 +2,18 @@
 
 use crate::TAXELS;
 use crate::bound;
-use crate::closed_loop::{Loads, Rig, Row};
+use crate::closed_loop::{Flight, Loads, Rig, Row};
 use crate::collision::{self, approach_m_s};
 use crate::measure::{Measures, peak_force_n};
 use crate::settings::Settings;
 use anyhow::Result;
 use moca_control::config::ProtectionConfig;
-use moca_wbc::contact_barrier::STOP_SHARE;
+use moca_wbc::contact_barrier::{RETREAT_M_S, STOP_SHARE};
 
-/// A contact is watched for so long, s.
-const WATCHED_S: f64 = 3.0;
-/// A run that has met nobody by then never will, s.
-const LONGEST_S: f64 = 12.0;
+/// Who is not met by then never is, s.
+const MEETS_S: f64 = 9.0;
+/// Longest time that a base which flees takes to be away, s.
+const ESCAPES_S: f64 = 3.0;
 /// Period at which a run checks if it has seen enough, s.
 const LOOK_S: f64 = 0.25;
 /// Time that a hand takes to push with all its force: at once, its moment would throw the wrist, s.
@@ -43,6 +43,66 @@ impl Meeting {
         }
     }
 
+    /// Lets the two meet, with `flight` of the base from its row on, and watches for `watched_s` from the touch on: what happened, and
+    /// the row of the touch. It ends with the first contact if the base flees.
+    fn watched(
+        self,
+        settings: &Settings,
+        flight: Option<Flight>,
+        watched_s: f64,
+    ) -> Result<(Rig, Option<usize>)> {
+        let mut rig = Rig::start(settings, &settings.collision_scene()?)?;
+        rig.flight = flight;
+        if self != Self::ByHand {
+            rig.move_target(collision::towards_person(settings))?;
+        }
+        let mut first = None;
+        loop {
+            match rig.rows.last().map(|row| self.hand(settings, row)) {
+                Some(hand) => rig.run_for(LOOK_S, hand)?,
+                None => rig.run_for(LOOK_S, |_| Loads::default())?,
+            }
+            first = first.or_else(|| rig.rows.iter().position(|row| row.total_force_n > 0.0));
+            let seen_s =
+                first.map_or(0.0, |first| rig.rows.last().map_or(0.0, |row| row.t_s) - rig.rows[first].t_s);
+            let fled = flight.is_some_and(|flight| {
+                rig.rows.get(flight.row..).is_some_and(|rows| rows.iter().any(|row| row.total_force_n <= 0.0))
+            });
+            if rig.stopped.is_some() || rig.sim_s > MEETS_S + watched_s || seen_s > watched_s || fled {
+                return Ok((rig, first));
+            }
+        }
+    }
+
+    /// Least force on the person by a law that knows from the first alarm on all that comes, N: the same meeting again, but from then on
+    /// the base goes away along the wrench of the touch as fast as its orders may change, with and without turning, up to the fastest
+    /// retreat of the contact barrier. Orders are as late as they were.
+    ///
+    /// # Errors
+    /// As [`Outcome::of`].
+    pub fn least_of_any_law_n(self, settings: &Settings, alarm: &Alarm) -> Result<f64> {
+        let limits = &settings.config.limits;
+        let (row, [x_n, y_n, turn_nm]) = (alarm.row, alarm.wrench_base);
+        let force_n = x_n.hypot(y_n);
+        let along = |component: f64| if component.abs() < 0.1 * force_n { 0.0 } else { component.signum() };
+        let turn = if turn_nm.abs() < 0.02 * force_n { 0.0 } else { turn_nm.signum() };
+        let mut least_n = f64::INFINITY;
+        for turn in [turn, 0.0] {
+            let away = [along(x_n), along(y_n), turn];
+            let acceleration_body: [f64; 3] =
+                std::array::from_fn(|axis| away[axis] * limits.base_acceleration[axis]);
+            let [x, y, yaw] = acceleration_body;
+            let flees_m_s2 = (x * x_n + y * y_n + yaw * turn_nm) / force_n;
+            let (fastest, changes_s) = (limits.base_velocity, RETREAT_M_S / flees_m_s2);
+            let flight = Flight { row, acceleration_body, fastest, changes_s };
+            let (rig, _) = self.watched(settings, Some(flight), ESCAPES_S)?;
+            let released = rig.rows[row..].iter().position(|row| row.total_force_n <= 0.0);
+            let until = released.map_or(rig.rows.len(), |rows| row + rows);
+            least_n = least_n.min(peak_force_n(&rig.rows[..until]));
+        }
+        Ok(least_n)
+    }
+
     /// Returns the force of a hand that leads the robot from `row` on: it takes hold, pushes as hard as eq. (2) needs for the speed
     /// of the settings, and turns the flange so that the base does not turn.
     fn hand(self, settings: &Settings, row: &Row) -> impl Fn(f64) -> Loads + use<> {
@@ -60,6 +120,15 @@ fn push(settings: &Settings, row: &Row) -> Loads {
     Loads { flange_world: [x_n, y_n, 0.0, 0.0, 0.0, y_m * x_n - x_m * y_n], ..Loads::default() }
 }
 
+/// First alarm about a touch.
+#[derive(Clone, Copy, Debug)]
+pub struct Alarm {
+    /// Its row.
+    pub row: usize,
+    /// Wrench of the touch on the robot by then, axes and origin of B: N, N, N·m.
+    pub wrench_base: [f64; 3],
+}
+
 /// Result of one meeting, or of the worst of some.
 #[derive(Clone, Debug, Default)]
 pub struct Outcome {
@@ -73,8 +142,10 @@ pub struct Outcome {
     pub peak_n: f64,
     /// Time from the touch to the largest force, s.
     pub peak_after_s: f64,
-    /// Time from the touch until the law bounds the base for it, s; NaN if it never does.
+    /// Time from the touch to the first alarm, s; NaN without one.
     pub noticed_after_s: f64,
+    /// That alarm.
+    pub alarm: Option<Alarm>,
     /// Time from the touch until the cover feels anything, s.
     pub felt_after_s: f64,
     /// Force that remains when the base does its utmost from that reading on, N.
@@ -96,29 +167,13 @@ pub struct Outcome {
 }
 
 impl Outcome {
-    /// Lets somebody meet the robot as `meeting` says, `there` being cover, body and base as they are.
+    /// Lets somebody meet the robot as `meeting` says, `there` being cover, body and base as they are, and watches for `watched_s` from
+    /// the touch on.
     ///
     /// # Errors
     /// Settings that [`Settings::check`] refuses, and a robot that is never armed.
-    pub fn of(meeting: Meeting, there: &bound::Meeting, settings: &Settings) -> Result<Self> {
-        let mut rig = Rig::start(settings, &settings.collision_scene()?)?;
-        if meeting != Meeting::ByHand {
-            rig.move_target(collision::towards_person(settings))?;
-        }
-        let touching = |row: &Row| row.total_force_n > 0.0;
-        let mut first = None;
-        loop {
-            match rig.rows.last().map(|row| meeting.hand(settings, row)) {
-                Some(hand) => rig.run_for(LOOK_S, hand)?,
-                None => rig.run_for(LOOK_S, |_| Loads::default())?,
-            }
-            first = first.or_else(|| rig.rows.iter().position(touching));
-            let seen_s =
-                first.map_or(0.0, |first| rig.rows.last().map_or(0.0, |row| row.t_s) - rig.rows[first].t_s);
-            if rig.stopped.is_some() || rig.sim_s > LONGEST_S || seen_s > WATCHED_S {
-                break;
-            }
-        }
+    pub fn of(meeting: Meeting, there: &bound::Meeting, settings: &Settings, watched_s: f64) -> Result<Self> {
+        let (rig, first) = meeting.watched(settings, None, watched_s)?;
         let stopped = rig.stopped.as_deref().map_or("", |why| why.split(':').next().unwrap_or("stopped"));
         let stopped = stopped.to_owned();
         let Some(first) = first else { return Ok(Self { stopped, ..Self::default() }) };
@@ -128,9 +183,7 @@ impl Outcome {
         let contact = &rows[first..];
         let most = contact.iter().max_by(|a, b| a.largest_force_n.total_cmp(&b.largest_force_n));
         let felt = contact.iter().find(|row| (0..TAXELS).any(|i| row.force_sensed[i] > 0.0));
-        // a false alarm before the touch is none of it
-        let alarmed = first == 0 || rows[first - 1].is_bounded;
-        let noticed = contact.iter().find(|row| !alarmed && row.is_bounded).or(felt);
+        let alarm_row = alarm_row(rows, first);
         let closing_m_s = approach_m_s(&rows[first.saturating_sub(1)], settings);
         let felt_after_s = felt.map_or(f64::NAN, since);
         let [first_peak_n, later_n] = first_and_later(&measures.peaks_n);
@@ -142,7 +195,8 @@ impl Outcome {
             peak_n: peak_force_n(rows),
             peak_after_s: most.map_or(0.0, since),
             felt_after_s,
-            noticed_after_s: noticed.map_or(f64::NAN, since),
+            noticed_after_s: alarm_row.map_or(f64::NAN, |row| since(&rows[row])),
+            alarm: alarm_row.map(|row| Alarm { row, wrench_base: rows[row].wrench_true }),
             least_n: there.least_n(closing_m_s, felt_after_s),
             taps: measures.peaks_n.len(),
             grows: grows(first_peak_n, later_n),
@@ -153,6 +207,18 @@ impl Outcome {
             stopped,
         })
     }
+}
+
+/// Row of the first alarm about the touch in row `first`. A false alarm that goes on is none of it: then it is the first force that the
+/// cover feels.
+fn alarm_row(rows: &[Row], first: usize) -> Option<usize> {
+    let touched = |row: &Row| (0..TAXELS).any(|i| row.pressed[i] && row.force_true[i] > 0.0);
+    let felt = |row: &Row| row.force_sensed.iter().any(|force_n| *force_n > 0.0);
+    let contact = &rows[first..];
+    let already =
+        first > 0 && (0..TAXELS).any(|i| rows[first - 1].pressed[i] && rows[first].force_true[i] > 0.0);
+    let noticed = if already { None } else { contact.iter().position(touched) };
+    Some(first + noticed.or_else(|| contact.iter().position(felt))?)
 }
 
 /// Returns true if a later tap is harder than a first one, by more than 2 %, and than the base itself may press.

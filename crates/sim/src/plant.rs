@@ -66,6 +66,7 @@ pub struct SimPlant {
     arm_dof: Option<usize>,
     people: People,
     command: Command,
+    base_taken_over: Option<[f64; 3]>,
     /// Share of what is missing by which the outer base servo comes closer in a control period.
     servo_gain: f64,
     /// Velocity that it asks of the wheels, axes of B.
@@ -111,6 +112,7 @@ impl SimPlant {
             arm_dof,
             people: People::new(scene, first_person_dof),
             command: Command::Brake,
+            base_taken_over: None,
             servo_gain: 1.0 - (-scene.control_period_s / scene.base.servo_time_constant_s).exp(),
             servo_velocity_body: [0.0; 3],
             braking: if scene.base_link.deceleration_m_s2 > 0.0 {
@@ -178,6 +180,17 @@ impl SimPlant {
             finite("arm torque", &command.arm_torque_nm)?;
             self.command = Command::Drive(command.resized());
         }
+        Ok(())
+    }
+
+    /// Orders the base this velocity instead of the controller's from now on, as a joystick does: axes of B, m/s, m/s, rad/s. `None`
+    /// gives it back.
+    ///
+    /// # Errors
+    /// A velocity that is not finite.
+    pub fn take_over_base(&mut self, velocity_body: Option<[f64; 3]>) -> Result<(), SimError> {
+        finite("base velocity", &velocity_body.unwrap_or_default())?;
+        self.base_taken_over = velocity_body;
         Ok(())
     }
 
@@ -447,9 +460,10 @@ impl SimPlant {
     /// Outer servo of the base: first order, limited in acceleration and deceleration, in the axes of B, once per control
     /// period.
     fn advance_base_servo(&mut self) {
-        let target = self.link.order(match &self.command {
-            Command::Drive(command) => command.base_velocity_body,
-            Command::Brake => [0.0; 3],
+        let target = self.link.order(match (&self.base_taken_over, &self.command) {
+            (Some(velocity_body), _) => *velocity_body,
+            (None, Command::Drive(command)) => command.base_velocity_body,
+            (None, Command::Brake) => [0.0; 3],
         });
         let dt_s = self.scene.control_period_s;
         let base = &self.scene.base;

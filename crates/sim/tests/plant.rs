@@ -153,6 +153,20 @@ fn nan_in_a_command_is_refused_and_the_plant_brakes() {
 }
 
 #[test]
+fn base_that_is_taken_over_goes_as_it_is_told_until_it_is_given_back() {
+    let mut plant = SimPlant::new(&paper_scene()).unwrap();
+    plant.take_over_base(Some([0.1, 0.0, 0.0])).unwrap();
+    drive(&mut plant, [-0.2, 0.0, 0.0], 400);
+    assert!((plant.state().base_velocity_world[0] - 0.1).abs() < 1e-3);
+    assert!(plant.take_over_base(Some([0.0, f64::NAN, 0.0])).is_err());
+    drive(&mut plant, [-0.2, 0.0, 0.0], 1);
+    assert!((plant.state().base_velocity_world[0] - 0.1).abs() < 1e-3, "a refused order changes nothing");
+    plant.take_over_base(None).unwrap();
+    drive(&mut plant, [-0.2, 0.0, 0.0], 400);
+    assert!((plant.state().base_velocity_world[0] + 0.2).abs() < 1e-3);
+}
+
+#[test]
 fn nan_in_the_state_is_an_error_and_not_a_silent_restart() {
     let mut plant = SimPlant::new(&paper_scene()).unwrap();
     drive(&mut plant, [0.2, 0.0, 0.0], 100);

@@ -412,6 +412,38 @@ fn late_base_believes_in_a_walker_until_the_third_reading() {
     assert!(late > 0.1 && second >= 0.1 && third < 0.1, "{late} {second} {third}");
 }
 
+/// Who came to a late base may follow it. It waits where it is, and comes back slowly; a base that obeys at once goes on.
+#[test]
+fn late_base_waits_for_who_came_and_comes_back_slowly() {
+    let allowed_m_s = |order_delay_s: f64| {
+        let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
+        let settings = settings.with_late_orders(order_delay_s, 0.0, 0.0).unwrap();
+        let mut barrier: ContactBarrier<11> = ContactBarrier::new(&PAPER_COVER, &settings).unwrap();
+        let mut frame = |force_n: f64| {
+            let mut allowed = 0.0;
+            for age in 0..15_u8 {
+                let age_s = DT_S * f64::from(age);
+                let mut samples = [Some(TaxelSample { force_n: 0.0, age_s }); 11];
+                samples[FRONT] = Some(TaxelSample { force_n, age_s });
+                let input = BarrierInput::new(samples, [0.0; 3], [3.0; 3], DT_S);
+                allowed = barrier.update(&input).unwrap().outward_m_s[FRONT];
+            }
+            allowed
+        };
+        for force_n in [0.0, 4.0, 6.0, 8.5, 12.0, 16.0, 8.0] {
+            frame(force_n);
+        }
+        let later: Vec<f64> = (0..4200).map(|_| frame(0.0)).collect();
+        [200, 400, 800, 3900, 4199].map(|frames: usize| later[frames])
+    };
+    let late = allowed_m_s(0.05);
+    assert!(late[0] <= 0.0 && late[1] <= 0.0 && late[1] > -0.03, "waits: {late:?}");
+    assert!(late[2] > 0.0 && late[2] <= 0.005 && late[3] > 0.0049 && late[3] <= 0.005, "slowly: {late:?}");
+    assert!(late[4] > 0.1, "{late:?}");
+    let prompt = allowed_m_s(0.0);
+    assert!(prompt[0] > 0.05 && prompt[1] > 0.1, "{prompt:?}");
+}
+
 /// A flat body on three plates, each as deep as the body: as stiff as three. Every plate reads a third of its force.
 #[test]
 fn force_limit_is_shared_among_plates_of_one_body() {

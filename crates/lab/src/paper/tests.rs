@@ -359,6 +359,6 @@ pub(super) fn row(t_s: f64, base_pose_world: [f64; 3], force_n: f64) -> Row {
         total_force_n: force_n,
         largest_force_n: force_n,
         person_world: Some([0.0, 0.5]),
-        is_bounded: false,
+        pressed: [false; TAXELS],
     }
 }

@@ -22,6 +22,8 @@ use std::path::{Path, PathBuf};
 
 /// Seed of the order of cells.
 const SEED: u64 = 1;
+/// A contact is watched for so long, s.
+const WATCHED_S: f64 = 3.0;
 /// Columns after the cell's own and the law.
 const RESULTS: &[Column<Outcome>] = &[
     ("approach_m_s", |outcome| format!("{:.4}", outcome.approach_m_s)),
@@ -50,10 +52,10 @@ pub(crate) struct Arguments {
     #[arg(long, default_value_t = 86_184)]
     cells: usize,
     /// Instead: this many meetings drawn at random, robot, base, foam, person, board, lead and walk.
-    #[arg(long, value_name = "N", requires = "out")]
+    #[arg(long, value_name = "N")]
     random: Option<NonZero<usize>>,
     /// Instead: what was drawn for the run with this number, as `moca-lab experiment --set` takes it.
-    #[arg(long, value_name = "RUN")]
+    #[arg(long, value_name = "RUN", conflicts_with = "out")]
     drawn: Option<usize>,
     /// Seed of that order, or of what is drawn.
     #[arg(long, default_value_t = SEED)]
@@ -252,7 +254,7 @@ impl Cell {
     }
 
     fn outcome(&self, settings: &Settings) -> Result<Outcome> {
-        Outcome::of(self.meeting, &self.meeting_there(), settings)
+        Outcome::of(self.meeting, &self.meeting_there(), settings, WATCHED_S)
     }
 }
 

@@ -51,6 +51,8 @@ pub const STOP_SHARE: f64 = 0.3165;
 const YIELD_SHARE: f64 = 0.8;
 /// Force of a reading from which on somebody touches, N.
 pub const TOUCH_N: f64 = 1.0;
+/// Fastest that a taxel makes room, m/s.
+pub const RETREAT_M_S: f64 = 0.3;
 /// Time constant in which a late base forgets how fast somebody came, s: who walks on comes again before it has made room twice.
 const REMEMBER_S: f64 = 3.0;
 /// Shortest time in which an error of the depth is taken back, s.
@@ -285,7 +287,7 @@ impl BarrierSettings {
             remember_s: 0.0,
             first_speed_m_s: 0.1,
             fastest_person_m_s: 0.6,
-            retreat_m_s: 0.3,
+            retreat_m_s: RETREAT_M_S,
             creep_m_s: 0.03,
             creep_s: 0.15,
             recovery_m_s2: 0.1,

@@ -19,6 +19,10 @@ const THERE_M: f64 = 0.2e-3;
 const AGAIN: f64 = 0.5;
 /// Speed below which a base stands, m/s: it meets nobody, who touches it has come.
 pub const SLOWEST_M_S: f64 = 0.005;
+/// A late base no longer waits for who came at this speed or less, as it is remembered, m/s,
+const FORGOTTEN_M_S: f64 = 0.003;
+/// but comes back slowly to who came to it within so long, s.
+const FOLLOWED_S: f64 = 60.0;
 /// Readings of which an estimate of a speed rests on what was assumed.
 const ASSUMED: u8 = 2;
 /// As far below 0 as noise takes the estimate of a speed, m/s: cut at 0, its mean would lie above it.
@@ -416,6 +420,11 @@ impl<T: Scalar> Track<T> {
             let again = (met * of(AGAIN)).max(of(SLOWEST_M_S));
             let later = (search.near - of(slow_s)).max(T::zero());
             closing = closing.min(again + of::<T>(s.recovery_m_s2) * later);
+        }
+        if self.fastest > T::zero() && self.released_within(FOLLOWED_S) {
+            // who came may follow a late base: it waits, and comes back slowly
+            let waits = self.fastest > of(FORGOTTEN_M_S);
+            closing = closing.min(if waits { T::zero() } else { of(SLOWEST_M_S) });
         }
         if closing < T::one() {
             (closing - self.person_m_s()).max(of(-s.retreat_m_s))
