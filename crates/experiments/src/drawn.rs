@@ -14,9 +14,9 @@ use std::fmt::Write as _;
 
 /// Time in which the base, at its speed limit, or the person comes as far as the other, s.
 const COMES_S: [f64; 2] = [2.0, 6.0];
-/// Who stands is watched for so long from the touch on, s,
+/// Time from the touch on for which somebody who stands is watched, s;
 const WATCHED_S: f64 = 3.0;
-/// and who walks, who may follow a base that makes room.
+/// and somebody who walks, and so may follow a base that makes room.
 const FOLLOWED_S: f64 = 10.0;
 /// Smallest distance of the person from the cover at the start, m.
 const GAP_MIN_M: f64 = 0.002;

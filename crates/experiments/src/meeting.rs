@@ -10,7 +10,7 @@ use anyhow::Result;
 use moca_control::config::ProtectionConfig;
 use moca_wbc::contact_barrier::{RETREAT_M_S, STOP_SHARE};
 
-/// Who is not met by then never is, s.
+/// Time by which the two have met, or never will, s.
 const MEETS_S: f64 = 9.0;
 /// Longest time that a base which flees takes to be away, s.
 const ESCAPES_S: f64 = 3.0;

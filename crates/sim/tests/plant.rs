@@ -153,7 +153,7 @@ fn nan_in_a_command_is_refused_and_the_plant_brakes() {
 }
 
 #[test]
-fn base_that_is_taken_over_goes_as_it_is_told_until_it_is_given_back() {
+fn base_that_is_taken_over_goes_as_it_is_told() {
     let mut plant = SimPlant::new(&paper_scene()).unwrap();
     plant.take_over_base(Some([0.1, 0.0, 0.0])).unwrap();
     drive(&mut plant, [-0.2, 0.0, 0.0], 400);

@@ -434,6 +434,25 @@ fn one_commander_at_a_time_but_anyone_may_stop() {
     });
 }
 
+/// Samples are on their way to a client that gives the command back and hangs up at once: writing to it fails before its last words are
+/// read. Which of the two the server meets first is chance, hence the many rounds.
+#[test]
+fn last_words_of_client_that_hangs_up_are_heard() {
+    let mut robot = start(ANY, None);
+    for round in 0..40 {
+        let client = connect(robot.server.address());
+        client.request(Request::Arm);
+        assert_eq!(robot.answer(Ok(())), Request::Arm);
+        assert_eq!(reply(&client).outcome, Ok(()));
+        robot.send(2000 * round..2000 * round + 1000);
+        client.release();
+        drop(client);
+        robot.send(2000 * round + 1000..2000 * round + 2000);
+        assert_eq!(robot.answer(Ok(())), Request::Disarm, "round {round}");
+        wait_for(|| robot.server.stats().clients == 0);
+    }
+}
+
 #[test]
 fn a_commander_that_vanishes_lets_go_of_the_taxels_it_pressed() {
     let mut robot = start(ANY, None);

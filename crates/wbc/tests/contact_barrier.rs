@@ -412,7 +412,7 @@ fn late_base_believes_in_a_walker_until_the_third_reading() {
     assert!(late > 0.1 && second >= 0.1 && third < 0.1, "{late} {second} {third}");
 }
 
-/// Who came to a late base may follow it. It waits where it is, and comes back slowly; a base that obeys at once goes on.
+/// A late base may be followed by who came to it: it waits where it is, and comes back slowly. A base that obeys at once goes on.
 #[test]
 fn late_base_waits_for_who_came_and_comes_back_slowly() {
     let allowed_m_s = |order_delay_s: f64| {

@@ -21,6 +21,8 @@ use tokio::{io::AsyncWriteExt, time::timeout};
 pub(super) const MAX_CLIENTS: usize = 32;
 /// Longest time in the commander's place without the command, and longest time without reading.
 const PATIENCE: Duration = Duration::from_secs(2);
+/// Longest time for what a client has said before it hung up.
+const LAST_WORDS: Duration = Duration::from_millis(200);
 /// Frames of one client that are read before the others have their turn: a flood of one delays nobody's stop.
 const FRAMES_PER_TURN: u32 = 16;
 
@@ -33,9 +35,16 @@ pub(super) async fn attend(
     hub: Rc<Hub>,
 ) {
     let client = hub.admit(id, role, who);
+    let requests = read_requests(reader, &client, &hub);
+    tokio::pin!(requests);
     tokio::select! {
-        _ = read_requests(reader, &client, &hub) => {}
-        _ = write_queue(writer, &client, &hub.welcome) => {}
+        _ = &mut requests => {}
+        written = write_queue(writer, &client, &hub.welcome) => {
+            if written.is_err() {
+                // It has hung up, but may have given the command back before: unread, that would stop the robot.
+                let _ = timeout(LAST_WORDS, requests).await;
+            }
+        }
         () = leave_commanders_place(&client, &hub) => {}
         () = over => {}
     }

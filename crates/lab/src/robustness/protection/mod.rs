@@ -304,9 +304,9 @@ mod tests {
             return; // where sines are rounded in another way, last digits are others
         }
         let text = std::fs::read_to_string(CAMPAIGN).unwrap();
-        let grid = Grid::new(2, 1);
+        let grid = Grid::new(62, 1);
         // each way of meeting, each law, and plates that are pressed to the end of what a board can read
-        for id in [0, 1, 4, 9, 37, 66, 183] {
+        for id in [0, 1, 9, 37, 183] {
             let fresh = grid.row(id).unwrap();
             assert!(text.lines().any(|line| line == fresh), "{fresh}");
         }
