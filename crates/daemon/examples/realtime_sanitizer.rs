@@ -13,7 +13,7 @@ use moca_daemon::runtime::live::{Rings, Shared};
 use moca_daemon::runtime::recovery::Recovery;
 use moca_lockstep::simulated_robot::free_scene;
 use moca_lockstep::touch_board::ByteCover;
-use moca_lockstep::{LockStep, MemoryBoards};
+use moca_lockstep::{Feed, LockStep, MemoryBoards};
 use moca_msgs::{Law, Mode, Request};
 use moca_sim::VirtualBoardConfig;
 use moca_sim::board::BoardFailure;
@@ -37,6 +37,8 @@ fn main() {
     (config.startup.arm, config.startup.tare) = (false, false);
     let mut world = LockStep::with_board(&config, &free_scene(&config), VirtualBoardConfig::default(), None)
         .expect("the default scene");
+    // A board's line grows with what waits in it; a port of the kernel's has its room from the start.
+    Feed::reserve(&mut world.feed);
     watched(&mut world, Mode::Starting, &[]);
     watched(&mut world, Mode::Ready, &[Request::Tare]);
     let press = |force_n| Request::PressTaxel { taxel: 2, force_n };
