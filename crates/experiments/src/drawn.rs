@@ -4,7 +4,7 @@
 use crate::bound;
 use crate::campaign::{Column, Table, cells, names};
 use crate::commissioning;
-use crate::meeting::{Meeting, Outcome};
+use crate::meeting::{Meeting, Outcome, WATCHED_S};
 use crate::settings::Settings;
 use anyhow::{Result, anyhow};
 use moca_control::protection::nominal_speed_m_s;
@@ -14,9 +14,7 @@ use std::fmt::Write as _;
 
 /// Time in which the base, at its speed limit, or the person comes as far as the other, s.
 const COMES_S: [f64; 2] = [2.0, 6.0];
-/// Time from the touch on for which somebody who stands is watched, s;
-const WATCHED_S: f64 = 3.0;
-/// and somebody who walks, and so may follow a base that makes room.
+/// Time from the touch on for which somebody who walks is watched, and so may follow a base that makes room, s.
 const FOLLOWED_S: f64 = 10.0;
 /// Smallest distance of the person from the cover at the start, m.
 const GAP_MIN_M: f64 = 0.002;

@@ -10,6 +10,8 @@ use anyhow::Result;
 use moca_control::config::ProtectionConfig;
 use moca_wbc::contact_barrier::{RETREAT_M_S, STOP_SHARE};
 
+/// Usual time for which a contact is watched, s.
+pub const WATCHED_S: f64 = 3.0;
 /// Time by which the two have met, or never will, s.
 const MEETS_S: f64 = 9.0;
 /// Longest time that a base which flees takes to be away, s.

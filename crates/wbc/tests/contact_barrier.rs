@@ -8,7 +8,8 @@
 )]
 
 use moca_wbc::contact_barrier::{
-    BLIND_RETREAT_M, BLIND_RETREAT_S, BarrierInput, BarrierSettings, ContactBarrier, FoamCurve, TaxelSample,
+    BLIND_RETREAT_M, BLIND_RETREAT_S, BarrierInput, BarrierSettings, ContactBarrier, ContactLimits,
+    FoamCurve, TaxelSample,
 };
 use moca_wbc::guard::CoverOutline;
 use moca_wbc::limits::BaseLimits;
@@ -387,24 +388,30 @@ fn late_base_remembers_how_fast_a_walker_came() {
     }
 }
 
+/// Barrier of a base whose orders are so late, s.
+fn of_late_base(order_delay_s: f64) -> ContactBarrier<11> {
+    let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
+    let settings = settings.with_late_orders(order_delay_s, 0.0, 0.0).unwrap();
+    ContactBarrier::new(&PAPER_COVER, &settings).unwrap()
+}
+
+/// A frame of 15 ms in which the taxel in front reads `force_n`, N, on a base that drives forward, m/s: the limits at its end.
+fn frame(barrier: &mut ContactBarrier<11>, force_n: f64, forward_m_s: f64) -> ContactLimits<11> {
+    let limits = (0..15_u8).map(|age| {
+        let age_s = DT_S * f64::from(age);
+        let mut samples = [Some(TaxelSample { force_n: 0.0, age_s }); 11];
+        samples[FRONT] = Some(TaxelSample { force_n, age_s });
+        barrier.update(&BarrierInput::new(samples, [forward_m_s, 0.0, 0.0], [3.0; 3], DT_S)).unwrap()
+    });
+    limits.last().unwrap()
+}
+
 /// The base drives at 5 mm/s, and reads the foam twice alike: by that alone nobody would come. A late base does not believe it yet.
 #[test]
 fn late_base_believes_in_a_walker_until_the_third_reading() {
     let person_m_s = |order_delay_s: f64| {
-        let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
-        let settings = settings.with_late_orders(order_delay_s, 0.0, 0.0).unwrap();
-        let mut barrier: ContactBarrier<11> = ContactBarrier::new(&PAPER_COVER, &settings).unwrap();
-        [0.0, 5.0, 5.0, 5.0].map(|force_n| {
-            let mut known = 0.0;
-            for age in 0..15_u8 {
-                let age_s = DT_S * f64::from(age);
-                let mut samples = [Some(TaxelSample { force_n: 0.0, age_s }); 11];
-                samples[FRONT] = Some(TaxelSample { force_n, age_s });
-                let input = BarrierInput::new(samples, [0.006, 0.0, 0.0], [3.0; 3], DT_S);
-                known = barrier.update(&input).unwrap().person_m_s[FRONT];
-            }
-            known
-        })
+        let mut barrier = of_late_base(order_delay_s);
+        [0.0, 5.0, 5.0, 5.0].map(|force_n| frame(&mut barrier, force_n, 0.006).person_m_s[FRONT])
     };
     let [_, prompt, second, _] = person_m_s(0.0);
     assert!(prompt > 0.1 && second < 1e-9, "{prompt} {second}");
@@ -416,24 +423,11 @@ fn late_base_believes_in_a_walker_until_the_third_reading() {
 #[test]
 fn late_base_waits_for_who_came_and_comes_back_slowly() {
     let allowed_m_s = |order_delay_s: f64| {
-        let settings = BarrierSettings::new(FOAM, FOAM, 25.0, SERVO_S).unwrap();
-        let settings = settings.with_late_orders(order_delay_s, 0.0, 0.0).unwrap();
-        let mut barrier: ContactBarrier<11> = ContactBarrier::new(&PAPER_COVER, &settings).unwrap();
-        let mut frame = |force_n: f64| {
-            let mut allowed = 0.0;
-            for age in 0..15_u8 {
-                let age_s = DT_S * f64::from(age);
-                let mut samples = [Some(TaxelSample { force_n: 0.0, age_s }); 11];
-                samples[FRONT] = Some(TaxelSample { force_n, age_s });
-                let input = BarrierInput::new(samples, [0.0; 3], [3.0; 3], DT_S);
-                allowed = barrier.update(&input).unwrap().outward_m_s[FRONT];
-            }
-            allowed
-        };
+        let mut barrier = of_late_base(order_delay_s);
         for force_n in [0.0, 4.0, 6.0, 8.5, 12.0, 16.0, 8.0] {
-            frame(force_n);
+            frame(&mut barrier, force_n, 0.0);
         }
-        let later: Vec<f64> = (0..4200).map(|_| frame(0.0)).collect();
+        let later: Vec<f64> = (0..4200).map(|_| frame(&mut barrier, 0.0, 0.0).outward_m_s[FRONT]).collect();
         [200, 400, 800, 3900, 4199].map(|frames: usize| later[frames])
     };
     let late = allowed_m_s(0.05);

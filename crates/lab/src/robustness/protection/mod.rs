@@ -14,7 +14,7 @@ use cell::{COLUMNS, Cell, Law, PHASES};
 pub(crate) use leads::markdown as leads_markdown;
 use moca_experiments::campaign::{Column, Table, cells, names};
 use moca_experiments::drawn::Meetings;
-use moca_experiments::meeting::Outcome;
+use moca_experiments::meeting::{Outcome, WATCHED_S};
 use moca_experiments::parallel;
 use moca_experiments::settings::Settings;
 use std::num::NonZero;
@@ -22,8 +22,6 @@ use std::path::{Path, PathBuf};
 
 /// Seed of the order of cells.
 const SEED: u64 = 1;
-/// A contact is watched for so long, s.
-const WATCHED_S: f64 = 3.0;
 /// Columns after the cell's own and the law.
 const RESULTS: &[Column<Outcome>] = &[
     ("approach_m_s", |outcome| format!("{:.4}", outcome.approach_m_s)),
