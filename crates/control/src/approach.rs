@@ -113,6 +113,20 @@ impl Stopping {
             }
         }
     }
+
+    /// Time in which a base is at rest that was ordered to be faster than the fastest stop that was measured, s; 0 for an order within
+    /// it. The distance S of a delay, a lag and a deceleration grows no faster than v², and a stop takes no longer than 2S/v.
+    pub fn rests_within_s(&self, speed_m_s: f64) -> f64 {
+        match self {
+            Self::Measured(points) => points
+                .last()
+                .filter(|[fastest_m_s, _]| speed_m_s > *fastest_m_s)
+                .map_or(0.0, |[fastest_m_s, distance_m]| {
+                    2.0 * distance_m * speed_m_s / (fastest_m_s * fastest_m_s)
+                }),
+            Self::Assumed { .. } => 0.0,
+        }
+    }
 }
 
 /// Timing and noise of a board as measured.

@@ -7,6 +7,9 @@
 //! at once for a base that much later, and never rises again by itself. If the way is longer than the limit in force allowed for, with
 //! [`RESERVE_M`], the robot stops.
 //!
+//! Where the base makes room for somebody it may be faster than the fastest stop that was measured. Nothing is known of such a stop, so the
+//! watch waits until the base must be at rest.
+//!
 //! The watch does not see a way below the alarm. [`RESERVE_M`] stands in the speed limit for it.
 
 use crate::approach::{RESERVE_M, Stopping, WORST_CREDIBLE};
@@ -73,6 +76,8 @@ struct Way {
     from_m_s: f64,
     limit_m_s: f64,
     late_s: f64,
+    /// Time for which the base may still come down from an order at which no stop was measured, s.
+    unmeasured_s: f64,
 }
 
 impl BaseWatch {
@@ -128,6 +133,10 @@ impl BaseWatch {
     /// [`Fault::BaseLate`]: the base went further than the limit allowed for.
     pub fn travelled(&mut self, robot: &RobotState<JOINTS>, limit_m_s: f64, dt_s: f64) -> Result<(), Fault> {
         let newest = self.newest(dt_s);
+        let aside_m = self.aside_m_s() * dt_s;
+        for way in &mut self.state.ways[..RIM] {
+            way.explained_m += aside_m;
+        }
         let falls: [bool; WAYS] = std::array::from_fn(|i| self.follow(i, newest[i], limit_m_s, dt_s));
         let pose = robot.base_pose_world;
         let last = self.state.pose_world.unwrap_or(pose);
@@ -202,10 +211,25 @@ impl BaseWatch {
         (self.stopping.distance_m(speed_m_s) / speed_m_s - brakes_s).clamp(0.0, self.delay_s)
     }
 
+    /// Speed at which a base that drives and turns may seem to go aside, m/s: it still goes as it was ordered to in axes that have
+    /// turned since.
+    fn aside_m_s(&self) -> f64 {
+        let fastest_m_s = |way: usize| {
+            let [there, back] = [way, way + 1].map(|i| self.state.ways[i].envelope_m_s);
+            there.max(back)
+        };
+        let turned_rad = fastest_m_s(RIM) / self.rim_m * (self.delay_s + self.servo_s + self.state.late_s);
+        fastest_m_s(0).hypot(fastest_m_s(2)) * turned_rad
+    }
+
     /// Moves the envelope of way `i` on towards `order_m_s`; true while it falls.
     fn follow(&mut self, i: usize, order_m_s: f64, limit_m_s: f64, dt_s: f64) -> bool {
         let (way, late_s) = (&mut self.state.ways[i], self.state.late_s);
         way.explained_m += (way.envelope_m_s * (1.0 + DRIFT_SHARE) + DRIFT_M_S) * dt_s;
+        way.unmeasured_s = (way.unmeasured_s - dt_s).max(self.stopping.rests_within_s(order_m_s));
+        if way.unmeasured_s > 0.0 {
+            (way.envelope_m_s, way.beyond_m) = (order_m_s, 0.0);
+        }
         if order_m_s >= way.envelope_m_s {
             way.envelope_m_s = order_m_s;
             if way.beyond_m > 0.0 {
@@ -370,12 +394,16 @@ mod tests {
 
     /// The belief that the ladder gives of [`AS_MEASURED`].
     fn measured() -> Config {
+        measured_of(&AS_MEASURED)
+    }
+
+    fn measured_of(base: &Base) -> Config {
         let mut config = Config::default();
         config.robot.base.servo_time_constant_s = 0.03;
         config.robot.base.acceleration_max_m_s2 = 2.0;
         let (mut ladder, mut plant) = (Ladder::new(3.0, TICK_S), Plant::new(1));
         while let Some(order_m_s) = ladder.tick(plant.shown_m).unwrap() {
-            plant.step(&AS_MEASURED, order_m_s);
+            plant.step(base, order_m_s);
         }
         let stops: Vec<_> = ladder.stops().collect();
         believe(&mut config, &stops, "a test".into());
@@ -399,6 +427,40 @@ mod tests {
             println!("axis {axis}: {falls} falls, {most_m}");
             assert!(falls > 300, "{falls} falls");
             assert!(drive.watch.late_s() < 1e-12, "axis {axis}");
+        }
+    }
+
+    /// Weaker brakes show their length only above the speeds of the ladder, at which a base makes room for somebody.
+    #[test]
+    fn stop_from_a_speed_that_was_not_measured_raises_no_alarm() {
+        let weak = Base { deceleration_m_s2: 0.5, ..AS_MEASURED };
+        let config = measured_of(&weak);
+        for (axis, seed) in [(0, 2), (1, 3), (2, 4)] {
+            let mut drive = Drive { watch: BaseWatch::new(&config).unwrap(), ..Drive::new(axis, seed) };
+            let falls = drive.random(&weak, 0.3, 600);
+            assert!(falls > 150 && drive.watch.late_s() < 1e-12, "axis {axis}: {} s", drive.watch.late_s());
+            // a base that became later since is still found by its slower stops
+            let later = Base { delay_s: 0.2, ..weak };
+            drive.random(&later, 0.3, 60);
+            assert!((0.03..0.3).contains(&drive.watch.late_s()), "axis {axis}: {} s", drive.watch.late_s());
+        }
+    }
+
+    /// It goes where it was ordered to 0.07 s ago, when its axes were others.
+    #[test]
+    fn base_that_turns_may_seem_to_go_aside() {
+        for (turn_rad_s, is_late) in [(0.2, false), (0.0, true)] {
+            let mut watch = BaseWatch::new(&measured()).unwrap();
+            let mut robot = RobotState::at_rest([0.0; JOINTS]);
+            for tick in 0..8000 {
+                let [x, y, yaw] = robot.base_pose_world;
+                let (sin, cos) = (yaw - 0.014).sin_cos();
+                robot.base_pose_world =
+                    [x + 0.1 * sin * TICK_S, y - 0.1 * cos * TICK_S, yaw + turn_rad_s * TICK_S];
+                watch.travelled(&robot, UNLIMITED_M_S, TICK_S).unwrap();
+                watch.ordered(&[if tick == 0 { -1e-3 } else { 0.0 }, -0.1, turn_rad_s]);
+            }
+            assert_eq!(watch.late_s() > 0.0, is_late, "{} s", watch.late_s());
         }
     }
 
