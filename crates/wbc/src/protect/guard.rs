@@ -17,13 +17,17 @@ use crate::cover_map::CoverMap;
 use crate::error::{ControlError, finite};
 use crate::scalar::{Scalar, of};
 use moca_msgs::{ParameterError, TaxelPlacement};
-use moca_qp::{Metric, Row, WorkingSet};
+use moca_qp::{Metric, Row, Solution, WorkingSet};
 
 /// Fastest motion outward that still counts as none, m/s and rad/s: rounding, not creep.
 pub const STANDSTILL: f64 = 1e-9;
 
 /// Weights of "nearest": x, y, yaw (m²), and the slack that all taxels share.
 const NEARNESS: [f64; 4] = [1.0, 1.0, 0.5, 1e4];
+/// Largest excess of a taxel that could be kept, m/s: slack is not free.
+const SOFTNESS: f64 = 1e-4;
+/// Share by which the excess of the worst taxel may grow when the others are looked at: rounding.
+const ROUNDING: f64 = 1e-6;
 /// Bounds of the axes, and as many touched taxels as are looked at; and as few as it nearly always is.
 const MOST_ROWS: usize = 3 + 32;
 const FEW_ROWS: usize = 3 + 3;
@@ -161,7 +165,8 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
     }
 
     /// The velocity nearest to `wanted` between `low` and `high` at which no taxel goes outward faster than `most`, or,
-    /// where there is none, at which the worst does by the least.
+    /// where there is none, at which the worst does by the least, and then the worst of the others: of two plates that a body presses
+    /// at their seam, turning may help but one, and so helps the body.
     pub(crate) fn nearest(&self, most: &[T; K], wanted: &[T; 3], low: &[T; 3], high: &[T; 3]) -> [T; 3] {
         let rows = || self.map.columns().iter().zip(most).filter(|(_, most)| most.is_finite());
         if rows().count() + 3 <= FEW_ROWS {
@@ -189,8 +194,17 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
             count += 1;
         }
         let [x, y, yaw] = *wanted;
-        let rows = rows.get(..count).unwrap_or(&rows);
-        let solution = self.metric.nearest(&[x, y, yaw, T::zero()], rows, &WorkingSet::EMPTY);
+        let rows = rows.get_mut(..count).unwrap_or_default();
+        let nearest =
+            |rows: &[Row<4, T>]| self.metric.nearest(&[x, y, yaw, T::zero()], rows, &WorkingSet::EMPTY);
+        let mut solution = nearest(rows);
+        if let Ok(first) = &solution
+            && let Some(worst) = worst_of_many(rows, first).and_then(|row| rows.get_mut(row))
+        {
+            worst.normal[3] = T::zero();
+            worst.lower -= first.x[3] * of(1.0 + ROUNDING);
+            solution = nearest(rows).or(solution);
+        }
         // soft rows between bounds always have a nearest point; should rounding ever hide it, the base brakes
         let [x, y, yaw, _] = solution.map_or([T::zero(); 4], |solution| solution.x);
         let inside = |v: T, j: usize| v.clamp(low[j], high[j]);
@@ -279,6 +293,22 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
             .filter(|(_, blocked)| **blocked)
             .map(|(inward, _)| inward)
     }
+}
+
+/// Returns the row, after those of the axes, that holds back a nearest velocity the most where it and another one are exceeded.
+fn worst_of_many<T: Scalar>(rows: &[Row<4, T>], nearest: &Solution<4, T>) -> Option<usize> {
+    let [x, y, yaw, _] = nearest.x;
+    let is_exceeded = |row: &&Row<4, T>| {
+        let [to_x, to_y, lever, _] = row.normal;
+        to_x * x + to_y * y + lever * yaw < row.lower - of(SOFTNESS)
+    };
+    if rows.iter().skip(3).filter(is_exceeded).count() < 2 {
+        return None;
+    }
+    let of_taxels = nearest.active().iter().filter(|active| active.row >= 3);
+    let worst =
+        of_taxels.reduce(|worst, active| if active.multiplier > worst.multiplier { active } else { worst });
+    worst.map(|worst| worst.row)
 }
 
 fn scaled_to<T: Scalar>(velocity: [T; 3], speed: T, most: T) -> [T; 3] {
@@ -381,6 +411,64 @@ mod tests {
         ] {
             let kept = nearest(most, wanted);
             assert!(near(kept, expected), "{most:?}: {kept:?}");
+        }
+    }
+
+    /// T6 is in the middle of the front, where turning does nothing, T5 left and T7 right of it.
+    #[test]
+    fn nearest_motion_helps_each_that_gets_too_little_room() {
+        let nearest = |most: &[(usize, f64)]| {
+            let mut outward_m_s = [f64::INFINITY; 11];
+            most.iter().for_each(|(taxel, speed)| outward_m_s[*taxel] = *speed);
+            outline().nearest(&outward_m_s, &[0.0; 3], &[-0.003, -0.003, -0.006], &[0.003, 0.003, 0.006])
+        };
+        let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-5);
+        let lever_m = outline().outward(6, &[0.0, 0.0, 1.0]);
+        for (most, expected) in [
+            // a body at their seam: T6 cannot get more than 3 mm/s, T7 gets more by turning
+            (&[(5, -0.2), (6, -0.2)][..], [-0.003, 0.0, -0.006]),
+            (&[(5, -0.2), (4, -0.2)], [-0.003, 0.0, 0.006]),
+            // no more than it asks for
+            (&[(5, -0.2), (6, -0.003 - 0.002 * lever_m)], [-0.003, 0.0, -0.002]),
+            // what turning gives one it takes from the other
+            (&[(4, -0.2), (5, -0.2), (6, -0.2)], [-0.003, 0.0, 0.0]),
+            // the worst gets all that it can, although turning would be better for T5
+            (&[(6, -0.3), (4, -0.2)], [-0.003, 0.0, -0.006]),
+            // alone
+            (&[(6, -0.2)], [-0.003, 0.0, -0.006]),
+            (&[(5, -0.2)], [-0.003, 0.0, 0.0]),
+        ] {
+            let kept = nearest(most);
+            assert!(near(kept, expected), "{most:?}: {kept:?}");
+        }
+    }
+
+    /// Some rows within reach and some beyond it, equal ones among them, and others a little off.
+    #[test]
+    fn nearest_motion_depends_continuously_on_its_rows() {
+        let mut seed = 1_u64;
+        let mut uniform = move || {
+            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+            f64::from((seed >> 32) as u32) / f64::from(u32::MAX)
+        };
+        let outline = outline();
+        for case in 0..4000 {
+            let first = case % 11;
+            let rows = 2 + case / 11 % 3;
+            let equal = (case / 33 % 3 == 0).then(&mut uniform);
+            let mut most = [f64::INFINITY; 11];
+            for i in first..first + rows {
+                most[i % 11] = -0.3 * equal.unwrap_or_else(&mut uniform);
+            }
+            let low = [-0.003, -0.003, -0.006].map(|v| v * 10.0_f64.powf(2.0 * uniform()));
+            let wanted = [0.1, 0.1, 0.2].map(|v| v * (uniform() - 0.5));
+            let mut nearest = |off: f64| {
+                let most = most.map(|m| m + off * (uniform() - 0.5));
+                outline.nearest(&most, &wanted, &low, &low.map(|v| -v))
+            };
+            let (here, beside) = (nearest(0.0), nearest(1e-7));
+            let change = here.iter().zip(beside).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert!(change < 1e-5, "{most:?} {low:?} {wanted:?}: {here:?} {beside:?}");
         }
     }
 
