@@ -13,6 +13,7 @@ use moca_lockstep::{Feed, LockStep, MemoryBoards, TrueForces};
 use moca_msgs::{ContactRow, Mode, Sample, TaxelStatus, seconds};
 use moca_sim::Scene;
 use moca_sim::StepsSpent;
+use moca_wbc::cover_map::CoverMap;
 
 /// Longest time from power-up to a moving law, s of simulation.
 const START_WITHIN_S: f64 = 30.0;
@@ -89,14 +90,27 @@ impl Row {
 
 #[cfg(test)]
 #[test]
-fn flight_changes_orders_from_its_row_on() {
-    let flight =
-        Flight { row: 7, acceleration_body: [-3.0, 0.0, 6.0], fastest: [0.5, 0.5, 0.2], changes_s: 0.05 };
-    let order_body = |row| flight.order_body(&[0.1, 0.02, 0.0], row, 1e-3);
+fn flight_goes_along_its_wrench_up_to_its_retreat() {
+    let flight = Flight {
+        row: 7,
+        wrench_base: Some([-10.0, 0.5, 2.0]),
+        turns: true,
+        acceleration: [3.0, 3.0, 6.0],
+        fastest: [0.5, 0.5, 0.2],
+        retreat_m_s: 0.3,
+    };
     let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-12);
-    assert!(near(order_body(7), [0.097, 0.02, 0.006]), "{:?}", order_body(7));
-    assert!(near(order_body(26), [0.04, 0.02, 0.12]), "{:?}", order_body(26));
-    assert!(near(order_body(500), [-0.05, 0.02, 0.2]), "{:?}", order_body(500));
+    let after = |flight: Flight, ticks: usize, wrench_base: [f64; 3]| {
+        (0..ticks).fold([0.1, 0.02, 0.0], |order, _| flight.order_body(&order, &wrench_base, 1e-3))
+    };
+    assert!(near(after(flight, 1, [-10.0, 0.5, 2.0]), [0.097, 0.02, 0.006]));
+    assert!(near(after(Flight { turns: false, ..flight }, 20, [-10.0, 0.5, 2.0]), [0.04, 0.02, 0.0]));
+    let [x, y, yaw] = after(flight, 500, [-10.0, 0.5, 2.0]);
+    assert!(
+        near([0.0, y, yaw], [0.0, 0.02, 0.2]) && (-0.264..-0.25).contains(&x),
+        "0.3 m/s are left of it: {x}"
+    );
+    assert!(near(after(flight, 500, [0.0; 3]), [0.1, 0.02, 0.0]), "nothing is shown");
 }
 
 enum SensorModel {
@@ -118,30 +132,46 @@ pub struct Rig {
     pub frame_rate_hz: f64,
     /// Simulated time, starting included, s.
     pub sim_s: f64,
-    /// Orders of the base that are not the controller's.
+    /// Orders of the base that are not the controller's,
     pub flight: Option<Flight>,
+    /// and the last of them, axes of B, m/s, m/s, rad/s.
+    fled_body: Option<[f64; 3]>,
+    cover_map: CoverMap<TAXELS, f64>,
 }
 
-/// Flight of the base, whatever its controller orders: all that a law could do that knew at once what comes.
+/// Flight of the base, whatever its controller orders: all that a law could do.
 #[derive(Clone, Copy, Debug)]
 pub struct Flight {
     /// Row from which on the base flees.
     pub row: usize,
-    /// Change of the order, axes of B, m/s², m/s², rad/s².
-    pub acceleration_body: [f64; 3],
+    /// Wrench along which it goes away, axes and origin of B, N, N, N·m: of a law that knew at once what comes. `None`: in each
+    /// tick along the true forces of those plates about which there is an alarm.
+    pub wrench_base: Option<[f64; 3]>,
+    /// It also turns away.
+    pub turns: bool,
+    /// Change of the order along each axis, m/s², m/s², rad/s².
+    pub acceleration: [f64; 3],
     /// Fastest order along each axis, m/s, m/s, rad/s.
     pub fastest: [f64; 3],
-    /// Time for which it changes at most, s.
-    pub changes_s: f64,
+    /// Fastest retreat along the wrench, m/s.
+    pub retreat_m_s: f64,
 }
 
 impl Flight {
-    /// Order of the tick of row `row`, axes of B, where `before_body` was the controller's last one.
-    fn order_body(&self, before_body: &[f64; 3], row: usize, period_s: f64) -> [f64; 3] {
-        #[expect(clippy::cast_precision_loss, reason = "tick counts are far below 2^53")]
-        let flees_s = ((row + 1 - self.row) as f64 * period_s).min(self.changes_s);
+    /// Order of a tick, axes of B, after `last_body`, away along a wrench.
+    fn order_body(&self, last_body: &[f64; 3], wrench_base: &[f64; 3], period_s: f64) -> [f64; 3] {
+        let [x_n, y_n, turn_nm] = *wrench_base;
+        let force_n = x_n.hypot(y_n);
+        let retreat = (0..3).map(|axis| wrench_base[axis] * last_body[axis]).sum::<f64>();
+        if retreat >= self.retreat_m_s * force_n {
+            return *last_body;
+        }
+        let along =
+            |component: f64, least: f64| if component.abs() < least { 0.0 } else { component.signum() };
+        let turn = if self.turns { along(turn_nm, 0.02 * force_n) } else { 0.0 };
+        let away = [along(x_n, 0.1 * force_n), along(y_n, 0.1 * force_n), turn];
         std::array::from_fn(|axis| {
-            let order = before_body[axis] + flees_s * self.acceleration_body[axis];
+            let order = last_body[axis] + away[axis] * self.acceleration[axis] * period_s;
             order.clamp(-self.fastest[axis], self.fastest[axis])
         })
     }
@@ -199,6 +229,8 @@ impl Rig {
             frame_rate_hz: 0.0,
             sim_s: 0.0,
             flight: None,
+            fled_body: None,
+            cover_map: CoverMap::new(&config.robot.cover.placements())?,
         };
         rig.robot().world.set_people_waiting(true);
         loop {
@@ -284,6 +316,11 @@ impl Rig {
         }
     }
 
+    /// Wrench of those plates about which there is an alarm, axes and origin of B, N, N, N·m.
+    fn shown_wrench_base(&self, row: &Row) -> [f64; 3] {
+        self.cover_map.wrench(&std::array::from_fn(|i| if row.pressed[i] { row.force_true[i] } else { 0.0 }))
+    }
+
     fn push(&mut self, loads: &Loads) -> Result<()> {
         let robot = self.robot();
         for (taxel, &force_n) in loads.taxel_n.iter().enumerate() {
@@ -301,9 +338,13 @@ impl Rig {
         if *loads != self.loads {
             self.push(loads)?;
         }
-        if let Some(flight) = self.flight.filter(|flight| (1..=self.rows.len()).contains(&flight.row)) {
-            let before_body = self.rows[flight.row - 1].base_command_body;
-            let order_body = flight.order_body(&before_body, self.rows.len(), self.period_s);
+        if let Some(flight) = self.flight.filter(|flight| flight.row <= self.rows.len())
+            && let Some(last) = self.rows.last()
+        {
+            let wrench_base = flight.wrench_base.unwrap_or_else(|| self.shown_wrench_base(last));
+            let last_body = self.fled_body.unwrap_or(last.base_command_body);
+            let order_body = flight.order_body(&last_body, &wrench_base, self.period_s);
+            self.fled_body = Some(order_body);
             self.robot().world.take_over_base(Some(order_body))?;
         }
         let robot = self.robot();

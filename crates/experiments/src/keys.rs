@@ -122,7 +122,7 @@ const KEYS: &[Key] = &[
     key("person.taxel", "T1…T11", "taxel the person stands before", |s, v| { s.person.taxel = taxel(v)?; Ok(()) }),
     number!("person.gap", "m", "gap to the cover at the start", 0.0 to 5.0, person.gap_m),
     number!("person.offset", "m", "how far along the panel from the taxel's centre", -1.0 to 1.0, person.offset_m),
-    words!("person.plates", "rigid plates that the body presses at once, each by all of its depth", person.plates,
+    words!("person.plates", "rigid plates that the body presses at once, each by all of its depth, in the middle of which it lies", person.plates,
         "1" = 1_u8, "2" = 2_u8, "3" = 3_u8),
     number!("person.mass", "kg", "mass", 0.1 to 1e4, person.mass_kg),
     number!("person.stiffness", "N/m", "stiffness of the tissue", 1.0 to 1e9, person.stiffness),

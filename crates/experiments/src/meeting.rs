@@ -76,27 +76,25 @@ impl Meeting {
         }
     }
 
-    /// Least force on the person by a law that knows from the first alarm on all that comes, N: the same meeting again, but from then on
-    /// the base goes away along the wrench of the touch as fast as its orders may change, with and without turning, up to the fastest
-    /// retreat of the contact barrier. Orders are as late as they were.
+    /// Least force on the person by any law, N: the same meeting again, but from the first alarm on the base goes away along the wrench
+    /// of the touch as fast as its orders may change, with and without turning, up to the fastest retreat of the contact barrier.
+    /// Orders are as late as they were. A law that `knows` the whole touch at once, or no more of it than its plates have shown.
     ///
     /// # Errors
     /// As [`Outcome::of`].
-    pub fn least_of_any_law_n(self, settings: &Settings, alarm: &Alarm) -> Result<f64> {
+    pub fn least_of_any_law_n(self, settings: &Settings, alarm: &Alarm, knows: Knows) -> Result<f64> {
         let limits = &settings.config.limits;
-        let (row, [x_n, y_n, turn_nm]) = (alarm.row, alarm.wrench_base);
-        let force_n = x_n.hypot(y_n);
-        let along = |component: f64| if component.abs() < 0.1 * force_n { 0.0 } else { component.signum() };
-        let turn = if turn_nm.abs() < 0.02 * force_n { 0.0 } else { turn_nm.signum() };
+        let row = alarm.row;
         let mut least_n = f64::INFINITY;
-        for turn in [turn, 0.0] {
-            let away = [along(x_n), along(y_n), turn];
-            let acceleration_body: [f64; 3] =
-                std::array::from_fn(|axis| away[axis] * limits.base_acceleration[axis]);
-            let [x, y, yaw] = acceleration_body;
-            let flees_m_s2 = (x * x_n + y * y_n + yaw * turn_nm) / force_n;
-            let (fastest, changes_s) = (limits.base_velocity, RETREAT_M_S / flees_m_s2);
-            let flight = Flight { row, acceleration_body, fastest, changes_s };
+        for turns in [true, false] {
+            let flight = Flight {
+                row,
+                wrench_base: (knows == Knows::WholeTouch).then_some(alarm.wrench_base),
+                turns,
+                acceleration: limits.base_acceleration,
+                fastest: limits.base_velocity,
+                retreat_m_s: RETREAT_M_S,
+            };
             let (rig, _) = self.watched(settings, Some(flight), ESCAPES_S)?;
             let released = rig.rows[row..].iter().position(|row| row.total_force_n <= 0.0);
             let until = released.map_or(rig.rows.len(), |rows| row + rows);
@@ -120,6 +118,15 @@ fn push(settings: &Settings, row: &Row) -> Loads {
     let [x_n, y_n] = [0, 1].map(|axis| damping[axis] * towards[axis]);
     let [x_m, y_m] = [0, 1].map(|axis| row.flange_world[axis] - row.base_pose_world[axis]);
     Loads { flange_world: [x_n, y_n, 0.0, 0.0, 0.0, y_m * x_n - x_m * y_n], ..Loads::default() }
+}
+
+/// Knowledge of a law from the first alarm on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Knows {
+    /// All of the touch: also what presses plates about which there is no alarm yet.
+    WholeTouch,
+    /// The true force on each plate about which there is an alarm.
+    AlarmedPlates,
 }
 
 /// First alarm about a touch.

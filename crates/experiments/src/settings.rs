@@ -85,6 +85,24 @@ impl PersonSettings {
         self.stiffness.unwrap_or(self.part.data().1.stiffness_n_per_m)
     }
 
+    /// Place along the panel from the taxel's centre, m: a flat body lies in the middle of the plates that it presses, or their forces
+    /// would turn the base otherwise than its own does. `None` without such a taxel.
+    fn offset_m(&self, cover: &[TaxelPlacement]) -> Option<f64> {
+        let TaxelPlacement { position_base_m: [x, y], inward_angle_base_rad } = *cover.get(self.taxel)?;
+        if self.plates < 2 {
+            return Some(self.offset_m);
+        }
+        let (sin, cos) = inward_angle_base_rad.sin_cos();
+        let of_side =
+            cover.iter().filter(|taxel| (taxel.inward_angle_base_rad - inward_angle_base_rad).abs() < 1e-6);
+        let along_m = |[of_x, of_y]: [f64; 2]| (of_x - x) * sin - (of_y - y) * cos;
+        let mut plates_m: Vec<f64> = of_side.map(|taxel| along_m(taxel.position_base_m)).collect();
+        plates_m.sort_by(|a, b| (a - self.offset_m).abs().total_cmp(&(b - self.offset_m).abs()));
+        plates_m.truncate(usize::from(self.plates));
+        #[expect(clippy::cast_precision_loss, reason = "three at most")]
+        Some(plates_m.iter().sum::<f64>() / plates_m.len() as f64)
+    }
+
     fn person(&self, cover: &[TaxelPlacement]) -> Result<Person> {
         let (mut shape, mut tissue, mut mobility) = self.part.data();
         if let (Shape::Cylinder { radius_m }, Some(radius)) = (&mut shape, self.radius_m) {
@@ -100,7 +118,8 @@ impl PersonSettings {
             *stiffness_n_per_m = self.posture_stiffness.unwrap_or(*stiffness_n_per_m);
             *damping_n_s_per_m = self.posture_damping.unwrap_or(*damping_n_s_per_m);
         }
-        let person = Person::before(cover, self.taxel, self.gap_m, self.offset_m, shape, tissue, mobility)
+        let offset_m = self.offset_m(cover).context("no such taxel")?;
+        let person = Person::before(cover, self.taxel, self.gap_m, offset_m, shape, tissue, mobility)
             .context("no such taxel")?;
         Ok(Person {
             friction: self.friction.unwrap_or(person.friction),
@@ -354,6 +373,52 @@ impl Settings {
             frame_period_ns: self.sensor_period_ms.map(|ms| (1e6 * ms) as u64),
             seed: self.config.simulation.seed,
             ..VirtualBoardConfig::default()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn flat_body_lies_in_the_middle_of_its_plates() {
+        let [front_m, side_m] = [0.2586, 0.2445];
+        for (taxel, plates, offset_m, expected_m) in [
+            ("T6", 1, 0.03, [0.0, 0.03]),
+            ("T6", 3, 0.0, [0.0, 0.0]),
+            ("T6", 2, 0.01, [0.0, 0.5 * front_m]),
+            ("T6", 2, -0.01, [0.0, -0.5 * front_m]),
+            // at the end of a side its other plates are on one side of it
+            ("T7", 3, 0.0, [0.0, front_m]),
+            ("T11", 2, 0.0, [-0.5 * side_m, 0.0]),
+            ("T11", 3, 0.0, [-side_m, 0.0]),
+            ("T1", 3, 0.0, [side_m, 0.0]),
+        ] {
+            let mut settings = Settings::paper(moca_msgs::Law::Impedance);
+            settings
+                .set_all([
+                    format!("person.taxel={taxel}"),
+                    format!("person.plates={plates}"),
+                    format!("person.offset={offset_m}"),
+                ])
+                .unwrap();
+            let cover = settings.config.robot.cover.placements();
+            let person = settings.collision_scene().unwrap().people[0];
+            let middle = Person::before(
+                &cover,
+                settings.person.taxel,
+                settings.person.gap_m,
+                0.0,
+                person.shape,
+                person.tissue,
+                person.mobility,
+            )
+            .unwrap();
+            for axis in 0..2 {
+                let moved_m = person.position_world[axis] - middle.position_world[axis];
+                assert!((moved_m - expected_m[axis]).abs() < 1e-3, "{plates} plates at {taxel}: {moved_m} m");
+            }
         }
     }
 }
