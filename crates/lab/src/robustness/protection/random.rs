@@ -165,7 +165,7 @@ fn why(entry: &Entry<'_>) -> &'static str {
     if Class::of(entry) == Class::Driven && entry.number("approach_m_s") > 1.02 * entry.number("limit_m_s") {
         "met faster than the speed limit"
     } else if entry.number("least_as_shown_n") > limit_n() {
-        "pressed a plate about which there was no alarm yet: without it no law would have made more room"
+        "a plate beside raised its alarm late: a law that knows what its plates have shown leaves as much"
     } else if entry.number("peak_n") > entry.number("first_peak_n") {
         "a later tap: who walks on comes again to foam that has not recovered, and is felt later"
     } else {
