@@ -56,8 +56,8 @@ impl core::error::Error for ControlError {}
 
 /// Errs on the first value that is NaN or infinite.
 pub(crate) fn finite<T: crate::Scalar>(what: &'static str, values: &[T]) -> Result<(), ControlError> {
-    // without a branch for each of them, which a good step never takes
-    if values.iter().fold(true, |fine, value| fine & value.is_finite()) {
+    // without a branch for each of them, which a good step never takes: 0 times a number is 0, times any other value NaN
+    if values.iter().fold(T::zero(), |sum, value| sum + *value * T::zero()) == T::zero() {
         return Ok(());
     }
     match values.iter().position(|value| !value.is_finite()) {
