@@ -29,26 +29,35 @@ impl<const D: usize, T: Scalar> Cholesky<D, T> {
     /// Factorises the lower triangle of `a`; `None` if it is not positive definite or not finite.
     #[inline]
     pub fn new(a: &SMatrix<T, D, D>) -> Option<Self> {
-        let zero = [T::zero(); D];
-        let mut factor = Self { columns: a.data.0, diagonal: zero, inverse_diagonal: zero };
-        factor.factorise().then_some(factor)
+        let mut factor = Self::unset();
+        factor.factorise(a).then_some(factor)
     }
 
-    /// Factorises what `columns` hold; false if it is not positive definite or not finite.
+    /// Room for factors that are computed where they stand: returned, they would be copied.
     #[inline]
-    fn factorise(&mut self) -> bool {
+    pub(crate) fn unset() -> Self {
+        let zero = [T::zero(); D];
+        Self { columns: [zero; D], diagonal: zero, inverse_diagonal: zero }
+    }
+
+    /// Becomes what [`Cholesky::new`] gives; false if that is `None`. Its code is long, and once for all who call it.
+    #[inline(never)]
+    pub(crate) fn factorise(&mut self, a: &SMatrix<T, D, D>) -> bool {
         let Self { columns, diagonal, inverse_diagonal } = self;
         // no early return: straight-line code is what compilers make fast, and NaN only stays NaN
         let mut definite = true;
+        columns[0] = a.data.0[0];
         for k in 0..D {
-            let pivot = columns[k][k];
-            definite &= pivot > T::zero() && pivot.is_finite();
-            diagonal[k] = pivot;
-            inverse_diagonal[k] = T::one() / pivot;
+            let (pivot, inverse) = (columns[k][k], T::one() / columns[k][k]);
+            // that of an infinite pivot is 0
+            definite &= (pivot > T::zero()) & (inverse > T::zero());
+            (diagonal[k], inverse_diagonal[k]) = (pivot, inverse);
             for j in k + 1..D {
-                let factor = columns[k][j] * inverse_diagonal[k];
+                let factor = columns[k][j] * inverse;
                 for i in j..D {
-                    columns[j][i] -= factor * columns[k][i];
+                    // `a` is not copied first: its columns come as they are needed
+                    let value = if k == 0 { a.data.0[j][i] } else { columns[j][i] };
+                    columns[j][i] = value - factor * columns[k][i];
                 }
                 columns[k][j] = factor;
             }
@@ -72,11 +81,18 @@ impl<const D: usize, T: Scalar> Cholesky<D, T> {
     /// that a well-conditioned matrix loses nothing. `None` if it is not even positive semi-definite, or not finite.
     #[inline]
     pub fn new_shifted(a: &SMatrix<T, D, D>) -> Option<Self> {
-        Self::new(a).or_else(|| Self::shifted(a))
+        let mut factor = Self::unset();
+        factor.factorise_shifted(a).then_some(factor)
+    }
+
+    /// Becomes what [`Cholesky::new_shifted`] gives; false if that is `None`.
+    #[inline]
+    pub(crate) fn factorise_shifted(&mut self, a: &SMatrix<T, D, D>) -> bool {
+        self.factorise(a) || self.shift(a)
     }
 
     #[cold]
-    fn shifted(a: &SMatrix<T, D, D>) -> Option<Self> {
+    fn shift(&mut self, a: &SMatrix<T, D, D>) -> bool {
         let trace = a.trace();
         let mut relative = of::<T>(1e-12).max(T::default_epsilon() * of(16.0));
         for _ in 0..3 {
@@ -84,12 +100,12 @@ impl<const D: usize, T: Scalar> Cholesky<D, T> {
             for i in 0..D {
                 shifted[(i, i)] += trace * relative;
             }
-            if let Some(factor) = Self::new(&shifted) {
-                return Some(factor);
+            if self.factorise(&shifted) {
+                return true;
             }
             relative *= of(10.0);
         }
-        None
+        false
     }
 
     /// L⁻¹·b.
