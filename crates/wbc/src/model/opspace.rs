@@ -330,10 +330,15 @@ impl<T: Scalar> BlockWeight<T> {
         &self,
         task: &'a TaskDynamics<'a, N, T>,
     ) -> Result<BlockWeighted<'a, N, T>, ControlError> {
-        let mut weighted = task.arm.inverse_task_inertia * self.arm;
-        task.add_base(&mut weighted, &task.virtual_mass.map(|mass| self.base / mass));
-        let factor = Cholesky::new_shifted(&weighted).ok_or(SINGULAR)?;
-        Ok(BlockWeighted { task, weight: *self, factor })
+        let mut weighted = self.of(task);
+        weighted.factorise()?;
+        Ok(weighted)
+    }
+
+    /// Weight of `task`, not factorised yet: room for factors that are computed where they stand.
+    #[inline]
+    pub(crate) fn of<'a, const N: usize>(&self, task: &'a TaskDynamics<'a, N, T>) -> BlockWeighted<'a, N, T> {
+        BlockWeighted { task, weight: *self, factor: Cholesky::unset() }
     }
 }
 
@@ -353,6 +358,15 @@ pub(crate) struct Goal<T> {
 }
 
 impl<const N: usize, T: Scalar> BlockWeighted<'_, N, T> {
+    /// As [`BlockWeight::factor`].
+    #[inline]
+    pub(crate) fn factorise(&mut self) -> Result<(), ControlError> {
+        let Self { task, weight, factor } = self;
+        let mut weighted = task.arm.inverse_task_inertia * weight.arm;
+        task.add_base(&mut weighted, &task.virtual_mass.map(|mass| weight.base / mass));
+        if factor.factorise_shifted(&weighted) { Ok(()) } else { Err(SINGULAR) }
+    }
+
     /// τ_c for the wrench F at the tool and the null-space forces τ_0. eq. (6)
     #[inline]
     pub fn force(&self, wrench: &[T; 6], null: &WholeBodyForce<N, T>) -> WholeBodyForce<N, T> {

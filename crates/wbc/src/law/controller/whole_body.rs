@@ -330,8 +330,8 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             arm: tick.posture_torque(&state.arm),
         };
         let [eta_base, eta_arm] = state.eta;
-        let weighted = BlockWeight::new(eta_base, eta_arm).factor(&task);
-        let weighted = weighted.as_ref().map_err(|error| *error)?; // taken out, it would be copied
+        let mut weighted = BlockWeight::new(eta_base, eta_arm).of(&task);
+        weighted.factorise()?;
         let goal = weighted.goal(&wrench, &null.arm);
         let mut y = weighted.multiplier(&goal, &null.base);
         let base_force = weighted.base_force(&y, &null.base);
@@ -343,7 +343,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         let pushed = core::array::from_fn(|i| base_force[i] + fed[i]);
         let mut counted_per_s = [T::one() / tick.dt_s; 3];
         let base_velocity = if self.corrections.null_space_damping {
-            let velocity = damped_in_null_space(weighted, gains, &step.base_velocity, &pushed, tick.dt_s)?;
+            let velocity = damped_in_null_space(&weighted, gains, &step.base_velocity, &pushed, tick.dt_s)?;
             for i in 0..3 {
                 null.base[i] -= gains.virtual_damping[i] * velocity[i];
             }
