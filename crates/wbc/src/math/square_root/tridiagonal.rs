@@ -104,8 +104,9 @@ fn reflect<const D: usize, T: Scalar>(a: &mut [[T; D]; D], v: &[T; D], beta: T, 
     }
 }
 
-/// [`reflect`] of the last W rows and columns: their number is known, so that nothing is computed of those before.
-#[inline]
+/// [`reflect`] of the last W rows and columns: their number is known, so that nothing is computed of those before. The same
+/// code turns there and back.
+#[inline(never)]
 fn reflect_last<const W: usize, const D: usize, T: Scalar>(
     a: &mut [[T; D]; D],
     v: &[T; D],
