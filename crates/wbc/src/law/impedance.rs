@@ -18,7 +18,7 @@ use crate::error::ControlError;
 use crate::linalg::Cholesky;
 use crate::rotation;
 use crate::scalar::{Scalar, of};
-use crate::square_root::inverse_square_root;
+use crate::square_root::become_inverse_square_root;
 use nalgebra::{Matrix3, SMatrix, Vector3};
 
 /// Pose error \[p_d − p; R·log(Rᵀ·R_d)\], m and rad, in the axes in which both poses are given. eq. (10)
@@ -45,8 +45,10 @@ pub fn damping<T: Scalar>(
     stiffness: &[T; 6],
     ratio: T,
 ) -> Result<SMatrix<T, 6, 6>, ControlError> {
-    let root = inverse_square_root(inverse_task_inertia)
-        .ok_or(ControlError::NotPositiveDefinite { what: "J M⁻¹ Jᵀ" })?;
+    let mut root = *inverse_task_inertia;
+    if !become_inverse_square_root(&mut root) {
+        return Err(ControlError::NotPositiveDefinite { what: "J M⁻¹ Jᵀ" });
+    }
     let k = stiffness.map(nalgebra::ComplexField::sqrt);
     // column by column, which compilers take at once; so they do not take `from_fn`
     let column = |j: usize| core::array::from_fn(|i| ratio * root[(i, j)] * (k[i] + k[j]));

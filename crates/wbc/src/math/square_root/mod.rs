@@ -26,14 +26,22 @@ use tridiagonal::Tridiagonal;
 
 /// A^(−1/2) of a symmetric positive-definite matrix; `None` if it is not even semi-definite, or not finite. A direction
 /// whose eigenvalue is lost in rounding, below 16·ε of the trace, is taken to have that one.
-#[inline(never)]
 pub fn inverse_square_root<const D: usize, T: Scalar>(a: &SMatrix<T, D, D>) -> Option<SMatrix<T, D, D>> {
+    let mut root = *a;
+    become_inverse_square_root(&mut root).then_some(root)
+}
+
+/// `a` becomes what [`inverse_square_root`] gives; false if that is `None`. Returned, it would be copied.
+#[inline(never)]
+pub(crate) fn become_inverse_square_root<const D: usize, T: Scalar>(a: &mut SMatrix<T, D, D>) -> bool {
     let mut t = Tridiagonal::unset();
-    t.reduce(&a.data.0);
-    let mut root = [[T::zero(); D]; D];
-    if !poles::inverse_square_root(&t, &mut root) {
-        return eigenvalues::inverse_square_root(&t);
+    t.reduce(&mut a.data.0);
+    if poles::inverse_square_root(&t, &mut a.data.0) {
+        t.turn_back(&mut a.data.0);
+        return true;
     }
-    t.turn_back(&mut root);
-    Some(SMatrix::from(root))
+    eigenvalues::inverse_square_root(&t).is_some_and(|root| {
+        *a = root;
+        true
+    })
 }

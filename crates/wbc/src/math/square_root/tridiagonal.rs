@@ -17,7 +17,7 @@ impl<const D: usize, T: Scalar> Tridiagonal<D, T> {
     #[cfg(test)]
     pub(super) fn of(a: &[[T; D]; D]) -> Self {
         let mut t = Self::unset();
-        t.reduce(a);
+        t.reduce(&mut a.clone());
         t
     }
 
@@ -28,12 +28,11 @@ impl<const D: usize, T: Scalar> Tridiagonal<D, T> {
         Self { diagonal: [zero; D], beside: [zero; D], reflections: [([zero; D], zero); D] }
     }
 
-    /// Reduces a symmetric matrix by reflections, from its first column on.
+    /// Reduces a symmetric matrix by reflections, from its first column on; nothing of it is left.
     #[inline]
-    pub(super) fn reduce(&mut self, a: &[[T; D]; D]) {
+    pub(super) fn reduce(&mut self, rest: &mut [[T; D]; D]) {
         const { assert!(D <= LARGEST, "what `reflect` knows") }
         let (t, zero) = (self, T::zero());
-        let mut rest = *a;
         for k in 0..D.saturating_sub(2) {
             let (v, beta) = &mut t.reflections[k];
             *v = rest[k];
@@ -45,7 +44,7 @@ impl<const D: usize, T: Scalar> Tridiagonal<D, T> {
             if half > zero {
                 v[k + 1] = first - reflected;
                 *beta = T::one() / half;
-                reflect(&mut rest, v, *beta, k, Columns::Last);
+                reflect(rest, v, *beta, k, Columns::Last);
             }
         }
         t.diagonal = core::array::from_fn(|i| rest[i][i]);
