@@ -45,20 +45,30 @@ pub fn damping<T: Scalar>(
     stiffness: &[T; 6],
     ratio: T,
 ) -> Result<SMatrix<T, 6, 6>, ControlError> {
-    let mut root = *inverse_task_inertia;
+    damping_of(*inverse_task_inertia, stiffness, ratio)
+}
+
+/// [`damping`] of a matrix that nobody needs any longer.
+#[inline]
+pub(crate) fn damping_of<T: Scalar>(
+    mut root: SMatrix<T, 6, 6>,
+    stiffness: &[T; 6],
+    ratio: T,
+) -> Result<SMatrix<T, 6, 6>, ControlError> {
     if !become_inverse_square_root(&mut root) {
         return Err(ControlError::NotPositiveDefinite { what: "J M⁻¹ Jᵀ" });
     }
     let k = stiffness.map(nalgebra::ComplexField::sqrt);
     // column by column, which compilers take at once; so they do not take `from_fn`
     let column = |j: usize| core::array::from_fn(|i| ratio * root[(i, j)] * (k[i] + k[j]));
-    let sum = SMatrix::<T, 6, 6>::from(core::array::from_fn(column));
-    let mut shifted = sum;
-    let margin = sum.trace() * T::default_epsilon();
+    let mut sum = SMatrix::<T, 6, 6>::from(core::array::from_fn(column));
+    let (diagonal, margin) = (sum.diagonal(), sum.trace() * T::default_epsilon());
     for i in 0..6 {
-        shifted[(i, i)] += margin;
+        sum[(i, i)] += margin;
     }
-    if Cholesky::new(&shifted).is_some() {
+    let definite = Cholesky::unset().factorise(&sum);
+    sum.set_diagonal(&diagonal);
+    if definite {
         return Ok(sum);
     }
     let q = k.map(nalgebra::ComplexField::sqrt);

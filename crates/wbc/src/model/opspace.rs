@@ -73,7 +73,7 @@ impl<'a, const N: usize, T: Scalar> ArmDynamics<'a, N, T> {
     }
 
     /// J_A M_A⁻¹ τ: acceleration of the tool under joint torques on a standing base.
-    #[inline]
+    #[inline(never)]
     pub fn acceleration(&self, torque: &[T; N]) -> [T; 6] {
         let (lower, inverse) = (self.mass.solve_lower(torque), self.mass.inverse_diagonal());
         times(&self.reduced, &core::array::from_fn(|i| lower[i] * inverse[i]))
@@ -84,9 +84,10 @@ impl<'a, const N: usize, T: Scalar> ArmDynamics<'a, N, T> {
     /// # Errors
     /// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
     pub fn torque(&self, wrench: &[T; 6], null_torque: &[T; N]) -> Result<[T; N], ControlError> {
-        let factor = self.task_inertia()?;
+        let mut factor = Cholesky::unset();
+        factorise(&self.inverse_task_inertia, &mut factor)?;
         let wanted = difference(&times(&self.inverse_task_inertia, wrench), &self.acceleration(null_torque));
-        let task = transpose_times(self.kinematics.arm_jacobian(), &factor.solve(&wanted));
+        let task = transpose_times(self.kinematics.arm_jacobian(), &solved(&factor, &wanted));
         Ok(core::array::from_fn(|i| null_torque[i] + task[i]))
     }
 
@@ -190,23 +191,24 @@ impl<'a, const N: usize, T: Scalar> ArmDynamics<'a, N, T> {
     /// # Errors
     /// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
     pub fn felt_wrench(&self, torque: &[T; N]) -> Result<[T; 6], ControlError> {
-        let mut factor = self.task_inertia()?;
+        let mut factor = Cholesky::unset();
+        factorise(&self.inverse_task_inertia, &mut factor)?;
         let left = self.left(&factor);
         if left < of(FEELS_FROM) {
-            factor = self.dulled(left)?;
+            factorise(&self.dulled(left), &mut factor)?;
         }
-        Ok(factor.solve(&self.acceleration(torque)))
+        Ok(solved(&factor, &self.acceleration(torque)))
     }
 
-    /// Λ of an arm with the mobility `left`, whose weak axes are as light as an error of the estimate needs them.
+    /// Λ⁻¹ of an arm with the mobility `left`, whose weak axes are as light as an error of the estimate needs them.
     #[cold]
-    fn dulled(&self, left: T) -> Result<Cholesky<6, T>, ControlError> {
+    fn dulled(&self, left: T) -> SMatrix<T, 6, 6> {
         let share = of::<T>(DULLED) * (T::one() - left / of(FEELS_FROM));
         let mut light = self.inverse_task_inertia;
         for i in 0..6 {
             light[(i, i)] *= T::one() + share;
         }
-        Cholesky::new_shifted(&light).ok_or(SINGULAR)
+        light
     }
 
     /// Λ of the arm alone, as the factors of its inverse.
@@ -364,7 +366,7 @@ impl<const N: usize, T: Scalar> BlockWeighted<'_, N, T> {
         let Self { task, weight, factor } = self;
         let mut weighted = task.arm.inverse_task_inertia * weight.arm;
         task.add_base(&mut weighted, &task.virtual_mass.map(|mass| weight.base / mass));
-        if factor.factorise_shifted(&weighted) { Ok(()) } else { Err(SINGULAR) }
+        factorise(&weighted, factor)
     }
 
     /// τ_c for the wrench F at the tool and the null-space forces τ_0. eq. (6)
@@ -385,7 +387,7 @@ impl<const N: usize, T: Scalar> BlockWeighted<'_, N, T> {
     #[inline]
     pub(crate) fn multiplier(&self, goal: &Goal<T>, null_base: &[T; 3]) -> [T; 6] {
         let by_base = self.task.base_acceleration(null_base);
-        self.factor.solve(&difference(&goal.wanted, &sum(&by_base, &goal.by_arm)))
+        solved(&self.factor, &difference(&goal.wanted, &sum(&by_base, &goal.by_arm)))
     }
 
     /// τ_v of eq. (6).
@@ -477,6 +479,21 @@ impl<const N: usize, T: Scalar> AxisWeight<N, T> {
             arm: core::array::from_fn(|i| null.arm[i] + arm[i] / self.arm[i]),
         })
     }
+}
+
+/// `factor` becomes that of a Λ⁻¹: returned, it would be copied.
+#[inline]
+fn factorise<T: Scalar>(
+    inverse_task_inertia: &SMatrix<T, 6, 6>,
+    factor: &mut Cholesky<6, T>,
+) -> Result<(), ControlError> {
+    if factor.factorise_shifted(inverse_task_inertia) { Ok(()) } else { Err(SINGULAR) }
+}
+
+/// Λ·a. Its code is long, and once for all who call it in a step.
+#[inline(never)]
+fn solved<T: Scalar>(factor: &Cholesky<6, T>, acceleration: &[T; 6]) -> [T; 6] {
+    factor.solve(acceleration)
 }
 
 #[inline]

@@ -404,7 +404,8 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         hit: &mut LimitsHit,
     ) -> Result<([T; N], Tracking<T>), ControlError> {
         self.advance(tick, arm, state)?;
-        let (wrench, tracking) = tick.task_wrench(state, &[T::zero(); 6], arm.inverse_task_inertia(), hit)?;
+        let (wrench, tracking) =
+            tick.task_wrench(state, &[T::zero(); 6], *arm.inverse_task_inertia(), hit)?;
         let torque = arm.torque(&wrench, &tick.posture_torque(state))?;
         Ok((core::array::from_fn(|i| torque[i] + tick.dynamics.bias[i]), tracking))
     }

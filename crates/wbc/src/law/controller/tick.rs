@@ -78,7 +78,7 @@ impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
         &self,
         state: &ArmState<N, T>,
         base_twist: &[T; 6],
-        inverse_task_inertia: &SMatrix<T, 6, 6>,
+        inverse_task_inertia: SMatrix<T, 6, 6>,
         hit: &mut LimitsHit,
     ) -> Result<([T; 6], Tracking<T>), ControlError> {
         let gains = &state.gains;
@@ -92,7 +92,7 @@ impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
         let arm_twist = times(self.kinematics.arm_jacobian(), &self.robot.dq_rad_s);
         let wanted = self.desired_twist(state);
         let rate = core::array::from_fn(|i| wanted[i] - base_twist[i] - arm_twist[i]);
-        let damping = impedance::damping(inverse_task_inertia, &gains.stiffness, gains.damping_ratio)?;
+        let damping = impedance::damping_of(inverse_task_inertia, &gains.stiffness, gains.damping_ratio)?;
         let wrench = impedance::wrench(&gains.stiffness, &damping, &saturated_error, &rate);
         Ok((wrench, Tracking { error, arm_twist }))
     }
