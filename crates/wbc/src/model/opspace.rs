@@ -54,17 +54,33 @@ impl<'a, const N: usize, T: Scalar> ArmDynamics<'a, N, T> {
     ///
     /// # Errors
     /// [`ControlError::NotPositiveDefinite`] if the mass matrix is not.
-    #[inline(never)]
     pub fn new(dynamics: &'a Dynamics<N, T>) -> Result<Self, ControlError> {
-        let kinematics = &dynamics.kinematics;
-        let mass = Cholesky::new(&dynamics.mass).ok_or(ControlError::NotPositiveDefinite { what: "M_A" })?;
-        let reduced = SMatrix::from(mass.solve_lower_rows(&kinematics.arm_jacobian().data.0));
-        Ok(Self {
-            kinematics,
-            inverse_task_inertia: weighted_outer(&reduced, mass.inverse_diagonal()),
-            reduced,
-            mass,
-        })
+        let mut arm = Self::unset(dynamics);
+        arm.factorise(dynamics)?;
+        Ok(arm)
+    }
+
+    /// Room for an arm that is factorised where it stands: returned, it would be copied.
+    #[inline]
+    pub(crate) fn unset(dynamics: &'a Dynamics<N, T>) -> Self {
+        Self {
+            kinematics: &dynamics.kinematics,
+            mass: Cholesky::unset(),
+            reduced: [[T::zero(); 6]; N].into(),
+            inverse_task_inertia: [[T::zero(); 6]; 6].into(),
+        }
+    }
+
+    /// Becomes what [`ArmDynamics::new`] gives, of the dynamics that it has been made for.
+    #[inline(never)]
+    pub(crate) fn factorise(&mut self, dynamics: &Dynamics<N, T>) -> Result<(), ControlError> {
+        let Self { kinematics, mass, reduced, inverse_task_inertia } = self;
+        if !mass.factorise(&dynamics.mass) {
+            return Err(ControlError::NotPositiveDefinite { what: "M_A" });
+        }
+        *reduced = SMatrix::from(mass.solve_lower_rows(&kinematics.arm_jacobian().data.0));
+        *inverse_task_inertia = weighted_outer(reduced, mass.inverse_diagonal());
+        Ok(())
     }
 
     /// Λ⁻¹ = J_A M_A⁻¹ J_Aᵀ of the arm alone.

@@ -243,8 +243,11 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             next.enter_law(law, tick);
             next.gains.approach(&self.gains, tick.dt_s);
             let measured = input.flange_wrench_world;
-            let arm = tick.task(law);
-            let arm = arm.as_ref().map(Result::as_ref).transpose().map_err(|error| *error)?;
+            let mut arm = tick.task(law);
+            if let Some(arm) = &mut arm {
+                arm.factorise(tick.dynamics)?;
+            }
+            let arm = arm.as_ref();
             let flange_wrench_world = tick.flange_wrench(next, measured, arm)?;
             let (wanted, tracking) = match arm {
                 None => (self.holding(tick, next), None),

@@ -62,12 +62,12 @@ pub(super) struct Tracking<T> {
 }
 
 impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
-    /// The arm as its task sees it; a law that holds a posture has none. Read where it stands: taken out, it would be copied.
+    /// Room for the arm as its task sees it, to be factorised where it stands; a law that holds a posture has none.
     #[inline]
-    pub(super) fn task(&self, law: ControlLaw) -> Option<Result<ArmDynamics<'_, N, T>, ControlError>> {
+    pub(super) fn task(&self, law: ControlLaw) -> Option<ArmDynamics<'_, N, T>> {
         match law {
             ControlLaw::Hold => None,
-            ControlLaw::Impedance | ControlLaw::FollowMe => Some(ArmDynamics::new(self.dynamics)),
+            ControlLaw::Impedance | ControlLaw::FollowMe => Some(ArmDynamics::unset(self.dynamics)),
         }
     }
 
@@ -183,7 +183,11 @@ impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
         let torque = state.observer.external_torque();
         let about_tool = match arm {
             Some(arm) => arm.felt_wrench(torque)?,
-            None => ArmDynamics::new(self.dynamics)?.felt_wrench(torque)?,
+            None => {
+                let mut arm = ArmDynamics::unset(self.dynamics);
+                arm.factorise(self.dynamics)?;
+                arm.felt_wrench(torque)?
+            }
         };
         Ok(follow_me::moved(&about_tool, &(kinematics.tool_position - kinematics.flange_position)))
     }

@@ -252,8 +252,11 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             }
             next.arm.enter_law(law, tick);
             self.approach(next, tick.dt_s);
-            let arm = tick.task(law);
-            let arm = arm.as_ref().map(Result::as_ref).transpose().map_err(|error| *error)?;
+            let mut arm = tick.task(law);
+            if let Some(arm) = &mut arm {
+                arm.factorise(tick.dynamics)?;
+            }
+            let arm = arm.as_ref();
             let heading = &tick.kinematics.heading;
             let step = Step {
                 tick,
