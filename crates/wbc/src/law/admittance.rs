@@ -21,14 +21,13 @@ use nalgebra::Matrix3;
 /// v + dt·τ/M at D = 0. Stable for every D/M and dt. eq. (2)
 #[inline]
 pub fn step<T: Scalar>(velocity: T, force: T, mass: T, damping: T, dt_s: T) -> T {
-    stepped(velocity, force, mass, damping, dt_s).0
+    stepped(velocity, force, mass, damping, dt_s, mean_share(mass, damping, dt_s))
 }
 
-/// [`step`], and its mean acceleration of the one at its start.
+/// [`step`] of a known [`mean_share`].
 #[inline]
-fn stepped<T: Scalar>(velocity: T, force: T, mass: T, damping: T, dt_s: T) -> (T, T) {
-    let share = mean_share(mass, damping, dt_s);
-    (velocity + share * dt_s / mass * (force - damping * velocity), share)
+fn stepped<T: Scalar>(velocity: T, force: T, mass: T, damping: T, dt_s: T, share: T) -> T {
+    velocity + share * dt_s / mass * (force - damping * velocity)
 }
 
 /// Mean acceleration of [`step`] over its `dt_s`, of the one at its start: (1 − e^(−x))/x with x = D·dt/M.
@@ -46,10 +45,13 @@ pub(crate) fn admitted<T: Scalar>(
     force: &[T; 3],
     dt_s: T,
 ) -> ([T; 3], [T; 3]) {
-    let axes: [(T, T); 3] = core::array::from_fn(|i| {
-        stepped(velocity[i], force[i], gains.virtual_mass[i], gains.virtual_damping[i], dt_s)
-    });
-    (axes.map(|(velocity, _)| velocity), axes.map(|(_, share)| share))
+    let (mass, damping) = (&gains.virtual_mass, &gains.virtual_damping);
+    let share = |i: usize| mean_share(mass[i], damping[i], dt_s);
+    let x = share(0);
+    // most bases are alike along x and y, and an exponential is not cheap
+    let y = if mass[0] == mass[1] && damping[0] == damping[1] { x } else { share(1) };
+    let shares = [x, y, share(2)];
+    (core::array::from_fn(|i| stepped(velocity[i], force[i], mass[i], damping[i], dt_s, shares[i])), shares)
 }
 
 /// eq. (2) with its damping moved into τ_0: M_v·v̇ = τ_v − S·M_v⁻¹·D_v·v, S the free base mass. Implicit in v, because
