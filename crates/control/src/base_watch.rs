@@ -7,7 +7,7 @@
 //! at once for a base that much later, and never rises again by itself. If the way is longer than the limit in force allowed for, with
 //! [`RESERVE_M`], the robot stops.
 //!
-//! Where the base makes room for somebody it may be faster than the fastest stop that was measured. Nothing is known of such a stop, so the
+//! A base that makes room for somebody may be faster than the fastest stop that was measured. Nothing is known of such a stop, so the
 //! watch waits until the base must be at rest.
 //!
 //! The watch does not see a way below the alarm. [`RESERVE_M`] stands in the speed limit for it.

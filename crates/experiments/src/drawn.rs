@@ -252,7 +252,7 @@ struct Met {
     gap_m: f64,
     /// Least force that any law has left, N: this one, or where that is above the limit one that knew what comes.
     least_n: f64,
-    /// The same of one that knew what its plates had shown.
+    /// Least force that a law has left which knew what its plates had shown, N.
     least_as_shown_n: f64,
     one: Outcome,
 }
