@@ -390,7 +390,7 @@ mod tests {
         (
             "docs/results.md",
             "errors",
-            &[("goes 29.478 mm with one seed and 209.068", "pushes, barrier off and on | way of the base")],
+            &[("goes 29.480 mm with one seed and 209.067", "pushes, barrier off and on | way of the base")],
         ),
         ("docs/results.md", "contact", &[("at the first touch leaves 17 N", "no bytes any more")]),
         (
