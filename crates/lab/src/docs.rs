@@ -411,7 +411,7 @@ mod tests {
         (
             "docs/results.md",
             "protection-leads",
-            &[("meets somebody: 21.2 N at most", "stock-2018 | on | led | 0.25 |")],
+            &[("meets somebody: 21.0 N at most", "stock-2018 | on | led | 0.25 |")],
         ),
         (
             "docs/what-no-hardware-has-confirmed.md",
