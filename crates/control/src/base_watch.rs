@@ -449,18 +449,22 @@ mod tests {
     /// It goes where it was ordered to 0.07 s ago, when its axes were others.
     #[test]
     fn base_that_turns_may_seem_to_go_aside() {
-        for (turn_rad_s, is_late) in [(0.2, false), (0.0, true)] {
+        for (turn_rad_s, turned_rad, is_late) in [(0.2, 0.014, false), (0.0, 0.014, true), (0.2, 0.06, true)]
+        {
             let mut watch = BaseWatch::new(&measured()).unwrap();
             let mut robot = RobotState::at_rest([0.0; JOINTS]);
             for tick in 0..8000 {
                 let [x, y, yaw] = robot.base_pose_world;
-                let (sin, cos) = (yaw - 0.014).sin_cos();
+                let (sin, cos) = (yaw - turned_rad).sin_cos();
                 robot.base_pose_world =
                     [x + 0.1 * sin * TICK_S, y - 0.1 * cos * TICK_S, yaw + turn_rad_s * TICK_S];
                 watch.travelled(&robot, UNLIMITED_M_S, TICK_S).unwrap();
                 watch.ordered(&[if tick == 0 { -1e-3 } else { 0.0 }, -0.1, turn_rad_s]);
             }
             assert_eq!(watch.late_s() > 0.0, is_late, "{} s", watch.late_s());
+            watch.state.late_s = 0.02;
+            let aside_m_s = 0.1 * turn_rad_s * (watch.delay_s + 0.03 + 0.02);
+            assert!((watch.aside_m_s() - aside_m_s).abs() < 1e-9, "{} m/s", watch.aside_m_s());
         }
     }
 

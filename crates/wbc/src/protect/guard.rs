@@ -417,10 +417,15 @@ mod tests {
     /// T6 is in the middle of the front, where turning does nothing, T5 left and T7 right of it.
     #[test]
     fn nearest_motion_helps_each_that_gets_too_little_room() {
-        let nearest = |most: &[(usize, f64)]| {
+        let nearest = |most: &[(usize, f64)], yaw: f64| {
             let mut outward_m_s = [f64::INFINITY; 11];
             most.iter().for_each(|(taxel, speed)| outward_m_s[*taxel] = *speed);
-            outline().nearest(&outward_m_s, &[0.0; 3], &[-0.003, -0.003, -0.006], &[0.003, 0.003, 0.006])
+            outline().nearest(
+                &outward_m_s,
+                &[0.0, 0.0, yaw],
+                &[-0.003, -0.003, -0.006],
+                &[0.003, 0.003, 0.006],
+            )
         };
         let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-5);
         let lever_m = outline().outward(6, &[0.0, 0.0, 1.0]);
@@ -438,9 +443,12 @@ mod tests {
             (&[(6, -0.2)], [-0.003, 0.0, -0.006]),
             (&[(5, -0.2)], [-0.003, 0.0, 0.0]),
         ] {
-            let kept = nearest(most);
+            let kept = nearest(most, 0.0);
             assert!(near(kept, expected), "{most:?}: {kept:?}");
         }
+        // a turn that is wanted ends where it takes room from the other
+        let kept = nearest(&[(5, -0.2), (6, -0.003)], 0.006);
+        assert!(near(kept, [-0.003, 0.0, 0.0]), "{kept:?}");
     }
 
     /// Some rows within reach and some beyond it, equal ones among them, and others a little off.
