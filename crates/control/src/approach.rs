@@ -115,7 +115,8 @@ impl Stopping {
     }
 
     /// Time in which a base is at rest that was ordered to be faster than the fastest stop that was measured, s; 0 for an order within
-    /// it. The distance S of a delay, a lag and a deceleration grows no faster than v², and a stop takes no longer than 2S/v.
+    /// it. The distance S of a delay, a lag and a deceleration grows no faster than v². At a constant deceleration a stop takes
+    /// 2S/v; of a lag alone an eighth of the speed is left then.
     pub fn rests_within_s(&self, speed_m_s: f64) -> f64 {
         match self {
             Self::Measured(points) => points

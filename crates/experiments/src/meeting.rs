@@ -76,7 +76,7 @@ impl Meeting {
         }
     }
 
-    /// Least force on the person by any law, N: the same meeting again, but from the first alarm on the base goes away along the wrench
+    /// Force on the person by a law that flees, N, a measure of the least and no proof of it: the same meeting again, but from the first alarm on the base goes away along the wrench
     /// of the touch as fast as its orders may change, with and without turning, up to the fastest retreat of the contact barrier.
     /// Orders are as late as they were. A law that `knows` the whole touch at once, or no more of it than its plates have shown.
     ///

@@ -165,7 +165,7 @@ fn why(entry: &Entry<'_>) -> &'static str {
     if Class::of(entry) == Class::Driven && entry.number("approach_m_s") > 1.02 * entry.number("limit_m_s") {
         "met faster than the speed limit"
     } else if entry.number("least_as_shown_n") > limit_n() {
-        "a plate beside raised its alarm late: a law that knows what its plates have shown leaves as much"
+        "a plate beside raised its alarm late: who flees by what plates have shown leaves no less"
     } else if entry.number("peak_n") > entry.number("first_peak_n") {
         "a later tap: who walks on comes again to foam that has not recovered, and is felt later"
     } else {
@@ -193,20 +193,22 @@ mod tests {
         let rows = parallel::run("random", &ids, |id| MEETINGS.row(*id)).unwrap();
         let text = format!("{}\n{}\n", MEETINGS.header(), rows.join("\n"));
         table::entries(&text, |entries| {
-            let mut within = 0;
+            let mut within = [0, 0];
             for (entry, row) in entries.iter().zip(&rows) {
                 let name = format!("run {}: {row}", entry.text("run"));
                 assert!(entry.number("flange_mm") <= FLANGE_MAX_MM, "{name}");
                 match Class::of(entry) {
                     Class::Driven => assert!(!entry.above() && !grows(entry), "{name}"),
                     Class::Within => {
+                        assert!(entry.number("later_n") <= limit_n(), "{name}");
                         assert!(!entry.above() || entry.number("least_as_shown_n") > limit_n(), "{name}");
-                        within += 1;
+                        within = [within[0] + 1, within[1] + usize::from(entry.above())];
                     }
                     Class::Beyond => {}
                 }
             }
-            assert!(within >= 20, "{within}");
+            // those whom a law could protect and this one does not: the documents list them
+            assert!(within[0] >= 20 && within[1] * 20 <= within[0], "{within:?}");
             println!("{}", markdown(entries));
         })
         .unwrap();
