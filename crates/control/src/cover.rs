@@ -43,6 +43,7 @@ impl CoverState {
             early: EarlyContact {
                 touched: [false; TAXELS],
                 light: [false; TAXELS],
+                halfway: [false; TAXELS],
                 light_n: [0.0; TAXELS],
                 certain: [false; TAXELS],
                 sampled_at_ns: None,

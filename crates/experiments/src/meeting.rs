@@ -76,20 +76,20 @@ impl Meeting {
         }
     }
 
-    /// Force on the person by a law that flees, N, a measure of the least and no proof of it: the same meeting again, but from the first alarm on the base goes away along the wrench
-    /// of the touch as fast as its orders may change, with and without turning, up to the fastest retreat of the contact barrier.
-    /// Orders are as late as they were. A law that `knows` the whole touch at once, or no more of it than its plates have shown.
+    /// Force on the person by a law that knew at once what comes, N, a measure of the least and no proof of it: the same meeting again,
+    /// but from the first alarm on the base goes away along the wrench of the touch as fast as its orders may change, with and
+    /// without turning, up to the fastest retreat of the contact barrier. Orders are as late as they were.
     ///
     /// # Errors
     /// As [`Outcome::of`].
-    pub fn least_of_any_law_n(self, settings: &Settings, alarm: &Alarm, knows: Knows) -> Result<f64> {
+    pub fn least_of_any_law_n(self, settings: &Settings, alarm: &Alarm) -> Result<f64> {
         let limits = &settings.config.limits;
         let row = alarm.row;
         let mut least_n = f64::INFINITY;
         for turns in [true, false] {
             let flight = Flight {
                 row,
-                wrench_base: (knows == Knows::WholeTouch).then_some(alarm.wrench_base),
+                wrench_base: alarm.wrench_base,
                 turns,
                 acceleration: limits.base_acceleration,
                 fastest: limits.base_velocity,
@@ -118,15 +118,6 @@ fn push(settings: &Settings, row: &Row) -> Loads {
     let [x_n, y_n] = [0, 1].map(|axis| damping[axis] * towards[axis]);
     let [x_m, y_m] = [0, 1].map(|axis| row.flange_world[axis] - row.base_pose_world[axis]);
     Loads { flange_world: [x_n, y_n, 0.0, 0.0, 0.0, y_m * x_n - x_m * y_n], ..Loads::default() }
-}
-
-/// Knowledge of a law from the first alarm on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Knows {
-    /// All of the touch: also what presses plates about which there is no alarm yet.
-    WholeTouch,
-    /// The true force on each plate about which there is an alarm.
-    AlarmedPlates,
 }
 
 /// First alarm about a touch.

@@ -59,7 +59,9 @@ pub struct EarlyContact<const K: usize> {
     pub touched: [bool; K],
     /// Taxels that the reading does not feel, and the last frames together do: see [`crate::cusum`].
     pub light: [bool; K],
-    /// Force on each of these by its last frame, N; 0 elsewhere.
+    /// Taxels that neither feels, and whose last frames are halfway to an alarm: beside a touched one, the same body presses them.
+    pub halfway: [bool; K],
+    /// Force on each of the last two kinds by its last frame, N; 0 elsewhere.
     pub light_n: [f64; K],
     /// Those of them that are no false alarm: see [`Cusum::is_certain`].
     pub certain: [bool; K],
@@ -386,8 +388,10 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
     fn early(&self) -> EarlyContact<K> {
         let mut touched = [false; K];
         let light = core::array::from_fn(|i| !self.config.masked[i] && self.taxels[i].touched_lightly());
+        let halfway: [bool; K] =
+            core::array::from_fn(|i| !self.config.masked[i] && self.taxels[i].halfway_to_light());
         let light_n = core::array::from_fn(|i| {
-            if light[i] { self.taxels[i].light_force_n(&self.config.models[i]) } else { 0.0 }
+            if light[i] || halfway[i] { self.taxels[i].light_force_n(&self.config.models[i]) } else { 0.0 }
         });
         let mut times: heapless::Vec<Option<u64>, { MAX_BOARDS * BANKS }> = heapless::Vec::new();
         for (number, board) in self.boards.iter().enumerate() {
@@ -405,7 +409,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
             }
         }
         let certain = core::array::from_fn(|i| light[i] && self.taxels[i].light.is_certain());
-        EarlyContact { touched, light, light_n, certain, sampled_at_ns: oldest(times.into_iter()) }
+        EarlyContact { touched, light, halfway, light_n, certain, sampled_at_ns: oldest(times.into_iter()) }
     }
 
     /// Returns true during a touch and shortly after it, while a foam may still recover: drift is not followed then.
@@ -504,6 +508,11 @@ impl Taxel {
     /// Returns true if the last frames together show a touch that gives no force.
     const fn touched_lightly(&self) -> bool {
         self.light.touched() && !self.in_contact
+    }
+
+    /// Returns true if the last frames together are halfway to such a touch.
+    const fn halfway_to_light(&self) -> bool {
+        self.light.is_halfway() && !self.light.touched() && !self.in_contact
     }
 
     /// Force of the last frame, N, though it is below the counts at which a contact begins.

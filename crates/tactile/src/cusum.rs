@@ -90,6 +90,11 @@ impl Cusum {
         self.certain
     }
 
+    /// Returns true if the sum has risen to half of an alarm: no touch by itself, but beside one.
+    pub const fn is_halfway(&self) -> bool {
+        self.sum >= 0.5 * ALARM
+    }
+
     /// Returns true if the last frame showed a touch.
     pub const fn touched(&self) -> bool {
         self.touched

@@ -194,6 +194,30 @@ fn light_touch_becomes_certain_after_its_alarm_until_it_ends() {
     assert_eq!((left[0], left[39]), ((true, true), (false, false)), "{left:?}");
 }
 
+#[test]
+fn light_touch_is_halfway_before_its_alarm_and_shows_its_force() {
+    let mut bench = Bench::tared();
+    let mut felt = |drop| {
+        bench.drop[5] = drop;
+        bench.frame();
+        let early = bench.cover.poll(bench.now_ns).early;
+        assert!(!(early.halfway[5] && early.light[5]), "one or the other");
+        assert!(!early.halfway[4], "nobody touches that one");
+        (early.light[5], early.halfway[5], early.light_n[5])
+    };
+    let touched: Vec<_> = (0..40).map(|_| felt(1.7)).collect();
+    let alarm = touched.iter().position(|(light, ..)| *light).unwrap();
+    let halfway = touched.iter().position(|(_, halfway, _)| *halfway).unwrap();
+    assert!((1..alarm).contains(&halfway), "{touched:?}");
+    assert!(touched[halfway..alarm].iter().all(|(_, halfway, _)| *halfway), "{touched:?}");
+    assert!(touched[halfway..].iter().any(|(.., force_n)| *force_n > 0.5), "{touched:?}");
+    let before_n = touched[..halfway].iter().map(|(.., force_n)| *force_n);
+    assert!(before_n.fold(0.0, f64::max) <= 0.0, "{touched:?}");
+    // a force that is felt is no half of an alarm
+    let firm: Vec<_> = (0..5).map(|_| felt(20.0)).collect();
+    assert!(firm.iter().all(|(light, halfway, _)| !light && !halfway), "{firm:?}");
+}
+
 /// After a touch the foam comes back by an exponential: that is not felt, and who comes again meanwhile is.
 #[test]
 fn light_touch_is_found_on_recovering_foam() {

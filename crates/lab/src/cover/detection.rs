@@ -357,6 +357,24 @@ fn cusum_false_alarms_stay_below_one_an_hour() {
     }
 }
 
+/// An alarm of which a plate beside it shows half is as little a false one as a certain alarm.
+#[test]
+fn noise_seldom_is_halfway_beside_a_false_alarm() {
+    for ((_, noise_counts, rate_hz), rarer) in BOARDS.into_iter().zip([39.0, 270.0]) {
+        let (mut halfway, mut frames) = (0.0, 0.0);
+        for seed in 0..400 {
+            let mut taxel = Taxel::tared(Test::Cusum, noise_counts, rate_hz, seed);
+            for _ in 0..2000 {
+                taxel.feels(0.0);
+                frames += 1.0;
+                halfway += f64::from(u8::from(taxel.cusum.is_halfway()));
+            }
+        }
+        let beside = 2.0 * halfway / frames;
+        assert!(beside > 0.0 && rarer * beside < 1.0, "{beside} of the false alarms");
+    }
+}
+
 /// Every fourth advance of each row of the table.
 #[test]
 fn depths_of_speed_limit_are_what_the_test_detects() {

@@ -13,6 +13,7 @@
 //! # Ok::<(), moca_wbc::ParameterError>(())
 //! ```
 
+use crate::contact_barrier::{BODY_M, SAME_SIDE, squared};
 use crate::cover_map::CoverMap;
 use crate::error::{ControlError, finite};
 use crate::scalar::{Scalar, of};
@@ -110,6 +111,8 @@ pub struct CoverOutline<const K: usize, T> {
     /// Corner of the rectangle round all taxels, x and y, m.
     corner: [T; 2],
     map: CoverMap<K, T>,
+    /// Unit vectors along each taxel, away from the nearest one round a corner of the cover, axes of B; 0 where there is none.
+    aside: [[T; 2]; K],
     /// Metric of the nearest velocity.
     metric: Metric<4, T>,
 }
@@ -128,7 +131,9 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
             min: 0.0,
             max: f64::INFINITY,
         })?;
-        Ok(Self { map: CoverMap::new(taxels)?, corner: [of(most(0)), of(most(1))], metric })
+        let map: CoverMap<K, T> = CoverMap::new(taxels)?;
+        let aside = core::array::from_fn(|i| from_corner(i, map.columns(), taxels));
+        Ok(Self { map, corner: [of(most(0)), of(most(1))], aside, metric })
     }
 
     /// Returns the map from taxel forces to the wrench on the base.
@@ -167,43 +172,59 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
     /// The velocity nearest to `wanted` between `low` and `high` at which no taxel goes outward faster than `most`, or,
     /// where there is none, at which the worst does by the least, and then the worst of the others: of two plates that a body presses
     /// at their seam, turning may help but one, and so helps the body.
-    pub(crate) fn nearest(&self, most: &[T; K], wanted: &[T; 3], low: &[T; 3], high: &[T; 3]) -> [T; 3] {
-        let rows = || self.map.columns().iter().zip(most).filter(|(_, most)| most.is_finite());
+    ///
+    /// A body at the end of a plate may also press the one round the corner, which shows it later. Who gets too little room is
+    /// therefore also given room along the plate, where that takes none from anybody, as far as the law on its own may go (`bounds`).
+    pub(crate) fn nearest(
+        &self,
+        most: &[T; K],
+        wanted: &[T; 3],
+        bounds: Option<&[[T; 3]; 2]>,
+        [low, high]: [&[T; 3]; 2],
+    ) -> [T; 3] {
+        let rows = || {
+            let taxels = self.map.columns().iter().zip(&self.aside).zip(most);
+            taxels.filter(|(_, most)| most.is_finite())
+        };
         if rows().count() + 3 <= FEW_ROWS {
-            self.solved::<FEW_ROWS>(rows(), wanted, low, high)
+            self.solved::<FEW_ROWS>(rows(), wanted, bounds, [low, high])
         } else {
-            self.solved::<MOST_ROWS>(rows(), wanted, low, high)
+            self.solved::<MOST_ROWS>(rows(), wanted, bounds, [low, high])
         }
     }
 
     fn solved<'a, const R: usize>(
         &self,
-        taxels: impl Iterator<Item = (&'a [T; 3], &'a T)>,
+        taxels: impl Iterator<Item = ((&'a [T; 3], &'a [T; 2]), &'a T)>,
         wanted: &[T; 3],
-        low: &[T; 3],
-        high: &[T; 3],
+        bounds: Option<&[[T; 3]; 2]>,
+        [low, high]: [&[T; 3]; 2],
     ) -> [T; 3] {
         let mut rows = [Row::bound(0, low[0], high[0]); R];
+        let mut aside = [[T::zero(); 2]; R];
         let mut count = 3;
         for j in 1..3 {
             rows[j] = Row::bound(j, low[j], high[j]);
         }
-        for ([x, y, lever], most) in taxels {
-            let Some(row) = rows.get_mut(count) else { break };
+        for (([x, y, lever], along), most) in taxels {
+            let Some((row, aside)) = rows.get_mut(count).zip(aside.get_mut(count)) else { break };
             *row = Row::at_least([*x, *y, *lever, T::zero()], -*most).softened(3);
+            *aside = *along;
             count += 1;
         }
         let [x, y, yaw] = *wanted;
         let rows = rows.get_mut(..count).unwrap_or_default();
-        let nearest =
-            |rows: &[Row<4, T>]| self.metric.nearest(&[x, y, yaw, T::zero()], rows, &WorkingSet::EMPTY);
-        let mut solution = nearest(rows);
-        if let Ok(first) = &solution
-            && let Some(worst) = worst_of_many(rows, first).and_then(|row| rows.get_mut(row))
-        {
-            worst.normal[3] = T::zero();
-            worst.lower -= first.x[3] * of(1.0 + ROUNDING);
-            solution = nearest(rows).or(solution);
+        let nearest = |rows: &[Row<4, T>], to: &[T; 4]| self.metric.nearest(to, rows, &WorkingSet::EMPTY);
+        let mut solution = nearest(rows, &[x, y, yaw, T::zero()]);
+        if let Ok(first) = &solution {
+            let (exceeded, [to_x, to_y]) = given_aside(rows, &aside, first, [x, y], bounds);
+            if (exceeded > 1 || [to_x, to_y] != [x, y])
+                && let Some(worst) = worst(first).and_then(|row| rows.get_mut(row))
+            {
+                worst.normal[3] = T::zero();
+                worst.lower -= first.x[3] * of(1.0 + ROUNDING);
+                solution = nearest(rows, &[to_x, to_y, yaw, T::zero()]).or(solution);
+            }
         }
         // soft rows between bounds always have a nearest point; should rounding ever hide it, the base brakes
         let [x, y, yaw, _] = solution.map_or([T::zero(); 4], |solution| solution.x);
@@ -295,20 +316,58 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
     }
 }
 
-/// Returns the row, after those of the axes, that holds back a nearest velocity the most where it and another one are exceeded.
-fn worst_of_many<T: Scalar>(rows: &[Row<4, T>], nearest: &Solution<4, T>) -> Option<usize> {
-    let [x, y, yaw, _] = nearest.x;
-    let is_exceeded = |row: &&Row<4, T>| {
-        let [to_x, to_y, lever, _] = row.normal;
-        to_x * x + to_y * y + lever * yaw < row.lower - of(SOFTNESS)
-    };
-    if rows.iter().skip(3).filter(is_exceeded).count() < 2 {
-        return None;
+/// Number of taxels' rows that a nearest velocity exceeds, and the translation `wanted` with room along their plates: as fast as
+/// each misses room, and within `bounds`, unless more was wanted.
+fn given_aside<T: Scalar>(
+    rows: &[Row<4, T>],
+    aside: &[[T; 2]],
+    nearest: &Solution<4, T>,
+    wanted: [T; 2],
+    bounds: Option<&[[T; 3]; 2]>,
+) -> (usize, [T; 2]) {
+    let (mut exceeded, mut given) = (0, wanted);
+    for (row, [x, y]) in rows.iter().zip(aside).skip(3) {
+        let missing = excess(row, nearest);
+        if missing > of(SOFTNESS) {
+            exceeded += 1;
+            given[0] += *x * missing;
+            given[1] += *y * missing;
+        }
     }
+    if let Some([least, most]) = bounds {
+        for (axis, wanted) in wanted.into_iter().enumerate() {
+            given[axis] = given[axis].clamp(least[axis].min(wanted), most[axis].max(wanted));
+        }
+    }
+    (exceeded, given)
+}
+
+/// Returns the row, after those of the axes, that holds a nearest velocity back the most.
+fn worst<T: Scalar>(nearest: &Solution<4, T>) -> Option<usize> {
     let of_taxels = nearest.active().iter().filter(|active| active.row >= 3);
     let worst =
         of_taxels.reduce(|worst, active| if active.multiplier > worst.multiplier { active } else { worst });
     worst.map(|worst| worst.row)
+}
+
+/// Speed outward by which a taxel's row is exceeded, m/s.
+fn excess<T: Scalar>(row: &Row<4, T>, nearest: &Solution<4, T>) -> T {
+    let ([x, y, yaw, _], [to_x, to_y, lever, _]) = (nearest.x, row.normal);
+    row.lower - (to_x * x + to_y * y + lever * yaw)
+}
+
+/// Returns the unit vector along taxel `i` away from the nearest one round a corner, axes of B; 0 where no body reaches both.
+fn from_corner<T: Scalar>(i: usize, columns: &[[T; 3]], taxels: &[TaxelPlacement]) -> [T; 2] {
+    let Some(([x, y, _], here)) = columns.get(i).zip(taxels.get(i)) else { return [T::zero(); 2] };
+    let (mut nearest, mut aside) = (BODY_M * BODY_M, [T::zero(); 2]);
+    for ([to_x, to_y, _], there) in columns.iter().zip(taxels) {
+        let apart = squared(&here.position_base_m, &there.position_base_m);
+        if (*x * *to_x + *y * *to_y).abs() < of(SAME_SIDE) && apart <= nearest {
+            let side = (*x * *to_y - *y * *to_x).signum();
+            (nearest, aside) = (apart, [-side * *y, side * *x]);
+        }
+    }
+    aside
 }
 
 fn scaled_to<T: Scalar>(velocity: [T; 3], speed: T, most: T) -> [T; 3] {
@@ -397,7 +456,7 @@ mod tests {
         let nearest = |most: &[(usize, f64)], wanted: [f64; 3]| {
             let mut outward_m_s = [f64::INFINITY; 11];
             most.iter().for_each(|(taxel, speed)| outward_m_s[*taxel] = *speed);
-            outline().nearest(&outward_m_s, &wanted, &[-1.0; 3], &[1.0; 3])
+            outline().nearest(&outward_m_s, &wanted, None, [&[-1.0; 3], &[1.0; 3]])
         };
         // a soft bound gives by a ten-thousandth of what it takes away
         let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4);
@@ -414,41 +473,83 @@ mod tests {
         }
     }
 
+    /// Nearest motion in one step from rest, the taxels going outward no faster than this.
+    fn step(most: &[(usize, f64)], wanted: [f64; 3], bounds: Option<[[f64; 3]; 2]>) -> [f64; 3] {
+        let mut outward_m_s = [f64::INFINITY; 11];
+        most.iter().for_each(|(taxel, speed)| outward_m_s[*taxel] = *speed);
+        let limits = [&[-0.003, -0.003, -0.006], &[0.003, 0.003, 0.006]];
+        outline().nearest(&outward_m_s, &wanted, bounds.as_ref(), limits)
+    }
+
     /// T6 is in the middle of the front, where turning does nothing, T5 left and T7 right of it.
     #[test]
     fn nearest_motion_helps_each_that_gets_too_little_room() {
-        let nearest = |most: &[(usize, f64)], yaw: f64| {
-            let mut outward_m_s = [f64::INFINITY; 11];
-            most.iter().for_each(|(taxel, speed)| outward_m_s[*taxel] = *speed);
-            outline().nearest(
-                &outward_m_s,
-                &[0.0, 0.0, yaw],
-                &[-0.003, -0.003, -0.006],
-                &[0.003, 0.003, 0.006],
-            )
+        let near = |[x, _, yaw]: [f64; 3], [to_x, to_yaw]: [f64; 2]| {
+            (x - to_x).abs() < 1e-5 && (yaw - to_yaw).abs() < 1e-5
         };
-        let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-5);
         let lever_m = outline().outward(6, &[0.0, 0.0, 1.0]);
         for (most, expected) in [
             // a body at their seam: T6 cannot get more than 3 mm/s, T7 gets more by turning
-            (&[(5, -0.2), (6, -0.2)][..], [-0.003, 0.0, -0.006]),
-            (&[(5, -0.2), (4, -0.2)], [-0.003, 0.0, 0.006]),
+            (&[(5, -0.2), (6, -0.2)][..], [-0.003, -0.006]),
+            (&[(5, -0.2), (4, -0.2)], [-0.003, 0.006]),
             // no more than it asks for
-            (&[(5, -0.2), (6, -0.003 - 0.002 * lever_m)], [-0.003, 0.0, -0.002]),
+            (&[(5, -0.2), (6, -0.003 - 0.002 * lever_m)], [-0.003, -0.002]),
             // what turning gives one it takes from the other
-            (&[(4, -0.2), (5, -0.2), (6, -0.2)], [-0.003, 0.0, 0.0]),
+            (&[(4, -0.2), (5, -0.2), (6, -0.2)], [-0.003, 0.0]),
             // the worst gets all that it can, although turning would be better for T5
-            (&[(6, -0.3), (4, -0.2)], [-0.003, 0.0, -0.006]),
+            (&[(6, -0.3), (4, -0.2)], [-0.003, -0.006]),
             // alone
-            (&[(6, -0.2)], [-0.003, 0.0, -0.006]),
-            (&[(5, -0.2)], [-0.003, 0.0, 0.0]),
+            (&[(6, -0.2)], [-0.003, -0.006]),
+            (&[(5, -0.2)], [-0.003, 0.0]),
         ] {
-            let kept = nearest(most, 0.0);
+            let kept = step(most, [0.0; 3], None);
             assert!(near(kept, expected), "{most:?}: {kept:?}");
         }
         // a turn that is wanted ends where it takes room from the other
-        let kept = nearest(&[(5, -0.2), (6, -0.003)], 0.006);
-        assert!(near(kept, [-0.003, 0.0, 0.0]), "{kept:?}");
+        let kept = step(&[(5, -0.2), (6, -0.003)], [0.0, 0.0, 0.006], None);
+        assert!(near(kept, [-0.003, 0.0]), "{kept:?}");
+    }
+
+    /// T4 and T5, and T7 and T11, are round a corner in front. T6 is in the middle there, T1 and T8 at the ends behind.
+    #[test]
+    fn nearest_motion_gives_room_along_a_plate_at_a_corner() {
+        let near = |a: [f64; 2], b: [f64; 2]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-6);
+        for (taxel, expected) in [
+            (3, [-0.003, -0.003]),
+            (4, [-0.003, -0.003]),
+            (6, [-0.003, 0.003]),
+            (10, [-0.003, 0.003]),
+            (5, [-0.003, 0.0]),
+            (0, [0.0, -0.003]),
+            (7, [0.0, 0.003]),
+        ] {
+            let [x, y, _] = step(&[(taxel, -0.2)], [0.0; 3], None);
+            assert!(near([x, y], expected), "T{}: {x} {y}", taxel + 1);
+        }
+        // no body reaches round the end of a plate that has none beside it there, or to the other side of a narrow base
+        let at = |x: f64, y: f64, angle: f64| TaxelPlacement {
+            position_base_m: [x, y],
+            inward_angle_base_rad: angle * core::f64::consts::PI,
+        };
+        let narrow: CoverOutline<11, f64> =
+            CoverOutline::new(&[at(0.3, 0.1, -0.5), at(0.3, -0.1, 0.5), at(0.6, 0.3, 1.0)]).unwrap();
+        assert_eq!(narrow.aside, [[0.0; 2]; 11]);
+        // who gets the room that is needed gets no more
+        let lever_m = outline().outward(10, &[0.0, 0.0, 1.0]);
+        let [x, _, _] = step(&[(10, -0.003 + 0.006 * lever_m)], [0.0; 3], None);
+        assert!(x.abs() < 1e-6, "{x}");
+        // as fast as room is missing
+        let [x, _, _] = step(&[(10, -0.004 + 0.006 * lever_m)], [0.0; 3], None);
+        assert!((x + 0.001).abs() < 1e-5, "{x}");
+        // somebody else stands there
+        let kept = step(&[(6, -0.2), (1, 0.001)], [0.0; 3], None);
+        assert!((outline().outward(1, &kept) - 0.001).abs() < 2e-5 && kept[0] <= -0.003, "{kept:?}");
+        // the law on its own may go no further that way, unless it already does
+        let bounds = [[-0.001, -1.0, -1.0], [0.002, 1.0, 1.0]];
+        let [x, _, _] = step(&[(10, -0.2)], [0.0; 3], Some(bounds));
+        assert!((x + 0.001).abs() < 1e-6, "{x}");
+        let [x, _, _] = step(&[(10, -0.2)], [-0.002, 0.0, 0.0], Some(bounds));
+        assert!((x + 0.002).abs() < 1e-6, "{x}");
     }
 
     /// Some rows within reach and some beyond it, equal ones among them, and others a little off.
@@ -472,7 +573,7 @@ mod tests {
             let wanted = [0.1, 0.1, 0.2].map(|v| v * (uniform() - 0.5));
             let mut nearest = |off: f64| {
                 let most = most.map(|m| m + off * (uniform() - 0.5));
-                outline.nearest(&most, &wanted, &low, &low.map(|v| -v))
+                outline.nearest(&most, &wanted, None, [&low, &low.map(|v| -v)])
             };
             let (here, beside) = (nearest(0.0), nearest(1e-7));
             let change = here.iter().zip(beside).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);

@@ -616,7 +616,7 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
     }
 
     /// Returns true if a body that touches taxel `i` may press `j` on that side of the cover too.
-    fn is_beside(&self, i: usize, j: usize) -> bool {
+    pub fn is_beside(&self, i: usize, j: usize) -> bool {
         let columns = self.outline.map().columns();
         let ([x, y, _], [other_x, other_y, _]) = (columns[i], columns[j]);
         x * other_x + y * other_y > of(SAME_SIDE)
@@ -681,7 +681,7 @@ fn span_squared(taxels: &[TaxelPlacement]) -> f64 {
 }
 
 /// Distance of two places, m, squared.
-fn squared<T: Scalar>(a: &[T; 2], b: &[T; 2]) -> T {
+pub(crate) fn squared<T: Scalar>(a: &[T; 2], b: &[T; 2]) -> T {
     let [x, y] = [a[0] - b[0], a[1] - b[1]];
     x * x + y * y
 }
