@@ -10,7 +10,7 @@ use moca_lockstep::inject::Injection;
 use moca_lockstep::simulated_robot::{self, SimulatedRobot};
 use moca_lockstep::touch_board::ByteCover;
 use moca_lockstep::{Feed, LockStep, MemoryBoards, TrueForces};
-use moca_msgs::{ContactRow, Mode, Sample, TaxelStatus, seconds};
+use moca_msgs::{Mode, Sample, TaxelStatus, seconds};
 use moca_sim::Scene;
 use moca_sim::StepsSpent;
 
@@ -27,6 +27,14 @@ pub struct Loads {
 }
 
 impl Loads {
+    /// Returns true if `other` has the same numbers.
+    #[expect(clippy::float_cmp, reason = "what has not changed to the bit has not changed")]
+    fn are(&self, other: &Self) -> bool {
+        // no early return: several at once
+        let same = |a: &[f64], b: &[f64]| a.iter().zip(b).fold(true, |same, (a, b)| same & (a == b));
+        same(&self.taxel_n, &other.taxel_n) & same(&self.flange_world, &other.flange_world)
+    }
+
     /// Returns the loads, `factor` times as strong.
     pub fn scaled(&self, factor: f64) -> Self {
         Self {
@@ -325,7 +333,7 @@ impl Rig {
 
     /// One tick, and the mode after it.
     fn tick(&mut self, loads: &Loads) -> Result<Mode> {
-        if *loads != self.loads {
+        if !self.loads.are(loads) {
             self.push(loads)?;
         }
         if let Some(flight) = self.flight.filter(|flight| flight.row <= self.rows.len())
@@ -377,10 +385,7 @@ impl Rig {
             total_force_n,
             largest_force_n,
             person_world,
-            pressed: std::array::from_fn(|i| {
-                let of_taxel = |row: &&ContactRow| usize::from(row.taxel) == i;
-                sample.contact_rows.iter().find(of_taxel).is_some_and(|row| row.depth_m > 0.0)
-            }),
+            pressed: pressed(sample),
         });
         Ok(sample.mode)
     }
@@ -392,6 +397,16 @@ fn sensed(sample: &Sample) -> [f64; TAXELS] {
         *felt_n = if taxel.status == TaxelStatus::Ok { taxel.force_n } else { f64::NAN };
     }
     felt_n
+}
+
+fn pressed(sample: &Sample) -> [bool; TAXELS] {
+    let mut pressed = [false; TAXELS];
+    for row in sample.contact_rows.iter().filter(|row| row.depth_m > 0.0) {
+        if let Some(pressed) = pressed.get_mut(usize::from(row.taxel)) {
+            *pressed = true;
+        }
+    }
+    pressed
 }
 
 fn fixed<const N: usize>(values: &[f64]) -> [f64; N] {

@@ -137,8 +137,9 @@ pub fn run(settings: &Settings) -> Result<Run> {
 pub fn single(settings: &Settings) -> Result<Report> {
     let started = Instant::now();
     let rig = once(settings)?;
-    let peak_n = peak_force_n(&rig.rows);
-    Ok(measure(RunInfo::new("collision", settings, &rig, started), settings, &rig.rows, vec![peak_n]))
+    let info = RunInfo::new("collision", settings, &rig, started);
+    let report = measure(info, settings, &rig.rows, Vec::new());
+    Ok(Report { peak_by_phase_n: vec![report.measures.peak_force_n], ..report })
 }
 
 /// One collision.

@@ -46,23 +46,45 @@ pub struct Measures {
 impl Measures {
     /// Measures rows that are `period_s` apart, s.
     pub fn of(rows: &[Row], period_s: f64) -> Self {
-        let touching: Vec<&Row> = rows.iter().filter(|row| row.total_force_n > 0.0).collect();
+        // rows are large and many: one way through them, and the others through what was found
+        let (mut totals_n, mut largest_n, mut errors_m) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut touching, mut touched) = (Vec::new(), [false; TAXELS]);
+        for column in [&mut totals_n, &mut largest_n, &mut errors_m] {
+            column.reserve_exact(rows.len());
+        }
+        for row in rows {
+            totals_n.push(row.total_force_n);
+            largest_n.push(row.largest_force_n);
+            errors_m.push(row.flange_error_m());
+            if row.total_force_n > 0.0 {
+                touching.push(row);
+                for (touched, force_n) in touched.iter_mut().zip(row.force_true) {
+                    *touched |= force_n > 0.0;
+                }
+            }
+        }
         let (first, last) = (touching.first(), touching.last());
-        let errors_m: Vec<f64> = rows.iter().map(Row::flange_error_m).collect();
+        let start = totals_n.iter().position(|force_n| *force_n > 0.0).unwrap_or(rows.len());
+        let within_n = |window_s: f64| {
+            let contact = &rows[start..];
+            let count = contact.partition_point(|row| row.t_s < contact[0].t_s + window_s);
+            most(&largest_n[start..start + count])
+        };
         Self {
-            peak_force_n: peak_force_n(rows),
-            first_touch_n: peak_within_n(rows, FIRST_TOUCH_S),
-            impact_n: peak_within_n(rows, IMPACT_S),
-            peaks_n: peaks(rows),
-            contacts_n: contacts(rows),
-            contact_taxels: (0..TAXELS)
-                .filter(|&taxel| touching.iter().any(|row| row.force_true[taxel] > 0.0))
-                .map(|taxel| format!("T{}", taxel + 1))
+            peak_force_n: most(&largest_n),
+            first_touch_n: within_n(FIRST_TOUCH_S),
+            impact_n: within_n(IMPACT_S),
+            peaks_n: peaks(&totals_n),
+            contacts_n: contacts(&totals_n),
+            contact_taxels: (1..)
+                .zip(touched)
+                .filter(|(_, touched)| *touched)
+                .map(|(number, _)| format!("T{number}"))
                 .collect(),
             contact_s: first.map(|row| row.t_s),
             contact_time_s: period_s * to_f64(touching.len()),
             flange_rms_mm: 1e3 * rms(errors_m.iter().copied()),
-            flange_max_mm: 1e3 * errors_m.iter().copied().fold(0.0, f64::max),
+            flange_max_mm: 1e3 * most(&errors_m),
             base_displacement: match (rows.first(), rows.last()) {
                 (Some(first), Some(last)) => difference(&last.base_pose_world, &first.base_pose_world),
                 _ => [0.0; 3],
@@ -84,12 +106,9 @@ pub fn peak_force_n(rows: &[Row]) -> f64 {
     rows.iter().map(|row| row.largest_force_n).fold(0.0, f64::max)
 }
 
-/// Largest force on any one body within `window_s` of the first contact, N; 0 without one.
-fn peak_within_n(rows: &[Row], window_s: f64) -> f64 {
-    let first = rows.iter().position(|row| row.total_force_n > 0.0).unwrap_or(rows.len());
-    let contact = &rows[first..];
-    let count = contact.partition_point(|row| row.t_s < contact[0].t_s + window_s);
-    peak_force_n(&contact[..count])
+/// The largest of some values, or 0.
+fn most(values: &[f64]) -> f64 {
+    values.iter().copied().fold(0.0, f64::max)
 }
 
 fn mean(rows: &[&Row], pick: fn(&Row) -> [f64; 3]) -> [f64; 3] {
@@ -101,11 +120,11 @@ fn mean(rows: &[&Row], pick: fn(&Row) -> [f64; 3]) -> [f64; 3] {
 }
 
 /// Local maxima of the total force above a graze, N, each the largest between two dips of a fifth of it.
-fn peaks(rows: &[Row]) -> Vec<f64> {
+fn peaks(totals_n: &[f64]) -> Vec<f64> {
     let mut found = Vec::new();
     let (mut most, mut rising) = (0.0f64, true);
     let mut least = f64::INFINITY;
-    for force_n in rows.iter().map(|row| row.total_force_n) {
+    for &force_n in totals_n {
         if rising {
             most = most.max(force_n);
             if most > PEAK_MIN_N && force_n < 0.8 * most {
@@ -123,10 +142,9 @@ fn peaks(rows: &[Row]) -> Vec<f64> {
 }
 
 /// Largest total force of each stretch of rows in which somebody is touched.
-fn contacts(rows: &[Row]) -> Vec<f64> {
-    let touching = |a: &Row, b: &Row| (a.total_force_n > 0.0) == (b.total_force_n > 0.0);
-    let most = |rows: &[Row]| rows.iter().map(|row| row.total_force_n).fold(0.0, f64::max);
-    rows.chunk_by(touching).map(most).filter(|force_n| *force_n > 0.0).collect()
+fn contacts(totals_n: &[f64]) -> Vec<f64> {
+    let touching = |a: &f64, b: &f64| (*a > 0.0) == (*b > 0.0);
+    totals_n.chunk_by(touching).map(most).filter(|force_n| *force_n > 0.0).collect()
 }
 
 fn to_f64(count: usize) -> f64 {
