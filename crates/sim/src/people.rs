@@ -111,6 +111,10 @@ impl Felt {
 
     /// Forces on taxels at their centres, N, T1 first, each on a body of its own.
     pub(crate) fn sensed(&mut self, scene: &Scene, outline: &Outline, forces_n: &[f64]) {
+        // most of the time nobody presses; no early return: several at once
+        if !forces_n.iter().fold(false, |any, force_n| any | (*force_n > 0.0)) {
+            return;
+        }
         for (i, &force_n) in forces_n.iter().enumerate() {
             if force_n > 0.0
                 && let Some(taxel) = scene.cover.get(i)
@@ -335,9 +339,13 @@ impl Body {
                 let force_n = self.meet(cover, &meeting, time_s, felt);
                 let overlap_m = meeting.overlap_at_end_m(cover);
                 if force_n > 0.0 && overlap_m > 0.0 {
-                    let shares = match rigid {
+                    let soft;
+                    let shares = match &rigid {
                         Some((shares, _)) => shares,
-                        None => cover.outline.shares(&nearest, overlap_m, radius_m),
+                        None => {
+                            soft = cover.outline.shares(&nearest, overlap_m, radius_m);
+                            &soft
+                        }
                     };
                     let taxels_n = felt.taxel_force_n[..cover.taxels.len()].iter_mut();
                     for (taxel_n, share) in taxels_n.zip(&shares.0) {

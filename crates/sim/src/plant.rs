@@ -593,7 +593,7 @@ fn planar(values: &[f64], first: usize) -> [f64; 3] {
     [values[0], values[1], values[2]]
 }
 
-fn finite(name: &'static str, values: &[f64]) -> Result<(), SimError> {
+fn finite<const N: usize>(name: &'static str, values: &[f64; N]) -> Result<(), SimError> {
     // no early return: several at once
     if values.iter().fold(true, |finite, value| finite & value.is_finite()) {
         return Ok(());
