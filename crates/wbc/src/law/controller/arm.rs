@@ -236,7 +236,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
         check_step(input.dt_s)?;
         check_robot(&input.robot)?;
         check_wrench("flange_wrench_world", input.flange_wrench_world.as_ref())?;
-        let before = *state;
+        let before = state.kept();
         let next = &mut *state;
         let mut hit = LimitsHit::default();
         let output = self.at(&input.robot, input.dt_s, |tick| {
@@ -422,10 +422,12 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
     ) -> Option<Exceeded> {
         let (arm, Tracking { error, arm_twist }) = tracked?;
         let robot = tick.robot;
-        if let Some(joint) = self.joint_speeds.exceeded(&robot.q_rad, &robot.dq_rad_s) {
+        let (joint, share) = self.joint_speeds.fastest(&robot.q_rad, &robot.dq_rad_s);
+        if share > T::one()
+            && let Some(joint) = self.joint_speeds.exceeded(&robot.q_rad, &robot.dq_rad_s)
+        {
             return Some(Exceeded::JointSpeed(joint));
         }
-        let (joint, share) = self.joint_speeds.fastest(&robot.q_rad, &robot.dq_rad_s);
         let fast = share > of(if arrived { STRETCHED_SHARE } else { HELD_SHARE });
         let far = arrived && self.flange_limits.share(error) > of(STRETCHED_ERROR);
         if (fast || far) && arm.mobility_left() < of(STRETCHED_MOBILITY) {

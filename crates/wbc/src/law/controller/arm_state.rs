@@ -5,6 +5,7 @@ use super::lead::Lead;
 use crate::gains::ArmGains;
 use crate::momentum_observer::MomentumObserver;
 use crate::reference::{HeldBack, Reference};
+use crate::scalar::Scalar;
 
 /// Memory of an [`super::ArmController`] between steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -32,4 +33,12 @@ pub struct ArmState<const N: usize, T = f64> {
     pub(super) observer: MomentumObserver<N, T>,
     /// External lead of the reference; `None` costs a step nothing.
     pub(super) lead: Option<Lead<N, T>>,
+}
+
+impl<const N: usize, T: Scalar> ArmState<N, T> {
+    /// Returns a copy that costs nothing for an absent lead, which is half of the state.
+    #[inline]
+    pub(super) fn kept(&self) -> Self {
+        Self { lead: self.lead.as_ref().copied(), ..*self }
+    }
 }

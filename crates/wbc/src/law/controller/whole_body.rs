@@ -244,7 +244,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         check_wrench("flange_wrench_world", input.flange_wrench_world.as_ref())?;
         let mut hit = LimitsHit::default();
         let cover_wrench_base = self.base.cover_wrench(&input.taxel_force_n, &mut hit);
-        let before = *state;
+        let before = ControllerState { arm: state.arm.kept(), ..*state };
         let next = &mut *state;
         let output = self.arm.at(&input.robot, input.dt_s, |tick| {
             if law != ControlLaw::FollowMe {
