@@ -51,6 +51,16 @@ pub struct Poll<const K: usize> {
     pub early: EarlyContact<K>,
 }
 
+impl<const K: usize> Poll<K> {
+    /// A cover that has said nothing yet.
+    pub const UNKNOWN: Self = Self {
+        reading: CoverReading::UNKNOWN,
+        forces: Err((0, TaxelStatus::NoZero)),
+        fault: None,
+        early: EarlyContact::NONE,
+    };
+}
+
 /// Contact by data that nothing has confirmed yet, or too light for a force: it may slow a robot down or stop it. A light one may
 /// also let a late robot make room, no faster than it may drive until it is certain.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -67,6 +77,18 @@ pub struct EarlyContact<const K: usize> {
     pub certain: [bool; K],
     /// As [`CoverReading::sampled_at_ns`], with these data counted.
     pub sampled_at_ns: Option<u64>,
+}
+
+impl<const K: usize> EarlyContact<K> {
+    /// Nobody, at no time.
+    pub const NONE: Self = Self {
+        touched: [false; K],
+        light: [false; K],
+        halfway: [false; K],
+        light_n: [0.0; K],
+        certain: [false; K],
+        sampled_at_ns: None,
+    };
 }
 
 #[derive(Clone, Copy, Debug, Default)]
@@ -232,6 +254,13 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
 
     /// Reading, forces and fault at `now_ns`.
     pub fn poll(&mut self, now_ns: u64) -> Poll<K> {
+        let mut poll = Poll::UNKNOWN;
+        self.poll_into(now_ns, &mut poll);
+        poll
+    }
+
+    /// `poll` becomes what [`Self::poll`] gives, where it stands: it is large.
+    pub fn poll_into(&mut self, now_ns: u64, poll: &mut Poll<K>) {
         for board in 0..self.boards.len() {
             self.void_zero_on_stream_fault(board, now_ns);
         }
@@ -240,16 +269,20 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         {
             self.tare = TareStatus::Refused(TareRefusal::NoFrames);
         }
-        let mut reading = CoverReading::UNKNOWN;
+        let Poll { reading, forces, fault, early } = poll;
+        *reading = CoverReading::UNKNOWN;
+        // once a board, not once a taxel
+        let faults: [_; MAX_BOARDS] =
+            core::array::from_fn(|board| self.boards.get(board).and_then(|board| board.source.fault(now_ns)));
         for (i, slot) in reading.taxels.iter_mut().enumerate().take(self.config.taxels) {
-            let status = self.status(i, now_ns);
+            let status = self.status(i, now_ns, &faults);
             let force_n = if status == TaxelStatus::Ok { self.taxels[i].force_n } else { 0.0 };
             *slot = TaxelReading { force_n, status };
         }
         reading.sampled_at_ns = oldest(self.boards.iter().flat_map(Board::wired).map(|b| b.sampled_at_ns));
-        let forces = self.forces(&reading);
-        let fault = self.fault(&forces, now_ns);
-        Poll { reading, forces, fault, early: self.early() }
+        self.forces(reading, forces);
+        *fault = self.fault(forces, now_ns);
+        self.early(early);
     }
 
     /// FDAT of the last usable frame, T1 first; 0 before one came.
@@ -259,6 +292,12 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
             *count = taxel.fdat;
         }
         counts
+    }
+
+    /// Largest standard deviation of a taxel in the zero in force, counts; 0 without one.
+    pub fn deviation_counts(&self) -> f64 {
+        let zeros = self.taxels.iter().take(self.config.taxels).filter_map(|taxel| taxel.zero.as_ref());
+        zeros.fold(0.0, |worst, zero| worst.max(zero.deviation))
     }
 
     /// Zero of each taxel, T1 first.
@@ -271,16 +310,20 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         self.boards.iter().map(|b| &b.source)
     }
 
-    fn forces(&self, reading: &CoverReading<K>) -> Result<[f64; K], (usize, TaxelStatus)> {
-        let mut forces = [0.0; K];
-        for (i, taxel) in reading.taxels.iter().enumerate().take(self.config.taxels) {
-            match taxel.status {
-                TaxelStatus::Ok => forces[i] = taxel.force_n,
-                TaxelStatus::Masked if self.config.mask_policy == MaskPolicy::Ignore => {}
-                status => return Err((i, status)),
-            }
+    fn forces(&self, reading: &CoverReading<K>, forces: &mut Result<[f64; K], (usize, TaxelStatus)>) {
+        let taxels = reading.taxels.iter().enumerate().take(self.config.taxels);
+        let ignored = |status| status == TaxelStatus::Masked && self.config.mask_policy == MaskPolicy::Ignore;
+        let lacking =
+            |(_, taxel): &(usize, &TaxelReading)| taxel.status != TaxelStatus::Ok && !ignored(taxel.status);
+        if let Some((i, taxel)) = taxels.clone().find(lacking) {
+            *forces = Err((i, taxel.status));
+            return;
         }
-        Ok(forces)
+        *forces = Ok([0.0; K]);
+        if let Ok(forces) = forces {
+            // that of a masked taxel is zero
+            taxels.for_each(|(i, taxel)| forces[i] = taxel.force_n);
+        }
     }
 
     /// The gravest fault.
@@ -314,16 +357,17 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
             .or_else(taxel)
     }
 
-    fn status(&self, i: usize, now_ns: u64) -> TaxelStatus {
+    fn status(&self, i: usize, now_ns: u64, faults: &[Option<BoardFault>; MAX_BOARDS]) -> TaxelStatus {
         if self.config.masked[i] {
             return TaxelStatus::Masked;
         }
         let taxel = &self.taxels[i];
         let wire = &self.config.wiring[i];
-        let board = self.boards.get(usize::from(wire.board));
+        let number = usize::from(wire.board);
+        let board = self.boards.get(number);
         let bank = board.and_then(|b| b.banks.get(wire.bank()).filter(|bank| bank.sampled_at_ns.is_some()));
-        let (Some(board), Some(bank)) = (board, bank) else { return TaxelStatus::NoZero };
-        match board.source.fault(now_ns) {
+        let Some(bank) = bank else { return TaxelStatus::NoZero };
+        match faults.get(number).copied().flatten() {
             Some(
                 BoardFault::Silent
                 | BoardFault::HostStarved
@@ -385,14 +429,19 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
         self.advance_tare(frame.complete_ns);
     }
 
-    fn early(&self) -> EarlyContact<K> {
-        let mut touched = [false; K];
-        let light = core::array::from_fn(|i| !self.config.masked[i] && self.taxels[i].touched_lightly());
-        let halfway: [bool; K] =
-            core::array::from_fn(|i| !self.config.masked[i] && self.taxels[i].halfway_to_light());
-        let light_n = core::array::from_fn(|i| {
-            if light[i] || halfway[i] { self.taxels[i].light_force_n(&self.config.models[i]) } else { 0.0 }
-        });
+    fn early(&self, felt: &mut EarlyContact<K>) {
+        *felt = EarlyContact::NONE;
+        let EarlyContact { touched, light, halfway, light_n, certain, sampled_at_ns } = felt;
+        for (i, taxel) in self.taxels.iter().enumerate().take(self.config.taxels) {
+            if self.config.masked[i] {
+                continue;
+            }
+            (light[i], halfway[i]) = (taxel.touched_lightly(), taxel.halfway_to_light());
+            if light[i] || halfway[i] {
+                light_n[i] = taxel.light_force_n(&self.config.models[i]);
+            }
+            certain[i] = light[i] && taxel.light.is_certain();
+        }
         let mut times: heapless::Vec<Option<u64>, { MAX_BOARDS * BANKS }> = heapless::Vec::new();
         for (number, board) in self.boards.iter().enumerate() {
             let early = board.source.early();
@@ -408,8 +457,7 @@ impl<const K: usize, S: FrameSource> Cover<K, S> {
                 }
             }
         }
-        let certain = core::array::from_fn(|i| light[i] && self.taxels[i].light.is_certain());
-        EarlyContact { touched, light, halfway, light_n, certain, sampled_at_ns: oldest(times.into_iter()) }
+        *sampled_at_ns = oldest(times.into_iter());
     }
 
     /// Returns true during a touch and shortly after it, while a foam may still recover: drift is not followed then.
