@@ -67,9 +67,9 @@ impl Plant for Scripted {
 struct Quiet(CoverState);
 
 impl CoverSource for Quiet {
-    fn read(&mut self, now_ns: u64) -> CoverState {
+    fn read(&mut self, now_ns: u64, felt: &mut CoverState) {
         self.0.poll.reading.sampled_at_ns = Some(now_ns);
-        CoverState { rate_hz: 250.0, ..self.0 }
+        *felt = CoverState { rate_hz: 250.0, ..self.0 };
     }
 
     fn start_tare(&mut self, _now_ns: u64) {

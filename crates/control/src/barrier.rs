@@ -257,9 +257,25 @@ pub(super) fn to_body([x, y]: [f64; 2], robot: &RobotState<JOINTS>) -> [f64; 2] 
 
 /// Measured velocity of the base in axes of B, m/s, m/s, rad/s.
 pub(super) fn velocity_body(robot: &RobotState<JOINTS>) -> [f64; 3] {
-    let [vx_world, vy_world, yaw] = robot.base_velocity_world;
-    let [vx_body, vy_body] = to_body([vx_world, vy_world], robot);
-    [vx_body, vy_body, yaw]
+    BaseMotion::of(robot).velocity_body
+}
+
+/// Measured motion of the base, once a tick for all who ask: a sine is not cheap.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct BaseMotion {
+    /// Sine and cosine of the yaw.
+    pub(super) turn: (f64, f64),
+    /// Velocity in axes of B, m/s, m/s, rad/s.
+    pub(super) velocity_body: [f64; 3],
+}
+
+impl BaseMotion {
+    /// Takes it from a state.
+    pub(super) fn of(robot: &RobotState<JOINTS>) -> Self {
+        let (sin, cos) = robot.base_pose_world[2].sin_cos();
+        let [vx, vy, yaw_rate] = robot.base_velocity_world;
+        Self { turn: (sin, cos), velocity_body: [cos * vx + sin * vy, cos * vy - sin * vx, yaw_rate] }
+    }
 }
 
 /// From axes of B to those of W.

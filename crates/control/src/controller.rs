@@ -242,7 +242,8 @@ where
             robot: robot.resized(),
             taxel_force_n: *taxel_force_n,
             flange_wrench_world: None,
-            guard: *guard,
+            // nothing is copied of a list that only a barrier gives
+            guard: BaseGuard { outward_m_s: guard.outward_m_s.as_ref().copied(), ..*guard },
             dt_s,
         };
         let state = entered(&mut self.state, || self.controller.enter(law, &input.robot))?;

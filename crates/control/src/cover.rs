@@ -40,14 +40,7 @@ impl CoverState {
             },
             forces: Ok([0.0; TAXELS]),
             fault: None,
-            early: EarlyContact {
-                touched: [false; TAXELS],
-                light: [false; TAXELS],
-                halfway: [false; TAXELS],
-                light_n: [0.0; TAXELS],
-                certain: [false; TAXELS],
-                sampled_at_ns: None,
-            },
+            early: EarlyContact::NONE,
         },
         zero: Zero::Valid,
         deviation_counts: 0.0,
@@ -62,8 +55,9 @@ impl CoverState {
 
 /// A source of cover readings: a board's bytes, or the simulator's true forces; `None` is a robot without a cover.
 pub trait CoverSource {
-    /// Takes in what has arrived until `now_ns` and says what the cover feels.
-    fn read(&mut self, now_ns: u64) -> CoverState;
+    /// Takes in what has arrived until `now_ns`; `felt` becomes what the cover feels, from what it became the last time, or
+    /// from [`CoverState::NONE`]. It is large: what has not changed need not be written.
+    fn read(&mut self, now_ns: u64, felt: &mut CoverState);
 
     /// Starts measuring the zero.
     fn start_tare(&mut self, now_ns: u64);
@@ -86,8 +80,10 @@ pub trait CoverSource {
 }
 
 impl<S: CoverSource> CoverSource for Option<S> {
-    fn read(&mut self, now_ns: u64) -> CoverState {
-        self.as_mut().map_or(CoverState::NONE, |cover| cover.read(now_ns))
+    fn read(&mut self, now_ns: u64, felt: &mut CoverState) {
+        if let Some(cover) = self {
+            cover.read(now_ns, felt);
+        }
     }
 
     fn start_tare(&mut self, now_ns: u64) {

@@ -1,6 +1,6 @@
 //! From mode and forces to a command: which law runs in which mode.
 
-use crate::barrier::{Barrier, to_world};
+use crate::barrier::{Barrier, BaseMotion, to_world};
 use crate::base_watch::BaseWatch;
 use crate::compensation::Compensation;
 use crate::config::live::changed;
@@ -54,6 +54,8 @@ pub struct Motion {
     /// Object in the hand; `None` for none.
     object: Option<LinkInertial>,
     parts: Parts,
+    /// Motion of the base in the present tick.
+    base: BaseMotion,
     /// Protection of the present tick.
     protected: Protected,
     /// A target moves with a twist.
@@ -110,6 +112,7 @@ impl Motion {
             flange,
             object: None,
             parts,
+            base: BaseMotion::default(),
             protected,
             twisted: false,
             real,
@@ -246,9 +249,14 @@ impl Motion {
         self.barrier.as_ref().map_or(&[], |barrier| barrier.rows())
     }
 
+    /// Takes in the state of this tick; once a tick, before [`Motion::command`].
+    pub fn see(&mut self, robot: &RobotState<JOINTS>) {
+        self.base = BaseMotion::of(robot);
+    }
+
     /// Speed of the fastest point of the cover at the base's measured velocity, m/s; 0 without a cover.
-    pub fn cover_speed_m_s(&self, robot: &RobotState<JOINTS>) -> f64 {
-        if self.parts.has_cover() { self.protection.cover_speed_m_s(robot) } else { 0.0 }
+    pub fn cover_speed_m_s(&self) -> f64 {
+        if self.parts.has_cover() { self.protection.cover_speed_m_s(&self.base.velocity_body) } else { 0.0 }
     }
 
     /// Way of the base towards a side that no taxel covers since it last rested, m; 0 where all are covered.
@@ -427,7 +435,7 @@ impl Motion {
         self.lead(now_ns, law, robot, touched).map_err(|_| Fault::ControlRefused)?;
         let (guard, deceleration) = (&mut self.protected.guard, self.parameters.limits.base_acceleration);
         if let Some(uncovered) = &mut self.uncovered {
-            uncovered.advance(robot, dt_s);
+            uncovered.advance(self.base.velocity_body, dt_s);
             guard.bounds_body = uncovered.bounds_body(deceleration);
             guard.room_body = uncovered.room_body(deceleration);
         }
@@ -462,14 +470,14 @@ impl Motion {
             self.compensation.as_ref().and_then(|compensation| compensation.without_friction(robot));
         let robot = without_friction.as_ref().unwrap_or(robot);
         let input = LawInput { law, taxel_force_n, guard, dt_s };
+        // given on as it comes: it is large
+        let Some(compensation) = &mut self.compensation else { return self.controller.step(robot, &input) };
         let mut output = self.controller.step(robot, &input)?;
-        if let Some(compensation) = &mut self.compensation {
-            // a robot that says what pushes its flange lets the observer rest
-            let observed = robot.flange_wrench_world.is_none();
-            let external_nm = self.controller.external_torque_nm();
-            let external_nm = external_nm.as_ref().filter(|_| observed);
-            compensation.apply(law, external_nm, &robot.dq_rad_s, dt_s, &mut output.command.arm_torque_nm);
-        }
+        // a robot that says what pushes its flange lets the observer rest
+        let observed = robot.flange_wrench_world.is_none();
+        let external_nm = self.controller.external_torque_nm();
+        let external_nm = external_nm.as_ref().filter(|_| observed);
+        compensation.apply(law, external_nm, &robot.dq_rad_s, dt_s, &mut output.command.arm_torque_nm);
         Ok(output)
     }
 
@@ -493,7 +501,7 @@ impl Motion {
         let law = law_of(mode);
         let moves = law != ControlLaw::Hold && output.exceeded.is_none();
         if moves {
-            self.recentre.remember(law, robot, output, dt_s);
+            self.recentre.remember(law, (robot.base_pose_world, self.base.turn), output, dt_s);
         }
         if let Some(uncovered) = &mut self.uncovered {
             uncovered.remember(output.limits.guard && !(moves && self.recentre.stands()));

@@ -17,8 +17,7 @@ use crate::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::protection::MAX_CONTACT_EVENTS;
 use moca_msgs::{
-    ContactEvent, ContactReaction, ContactRow, Limits, ParameterError, RobotState, SpeedLimit,
-    SpeedLimitReason, seconds,
+    ContactEvent, ContactReaction, ContactRow, Limits, ParameterError, SpeedLimit, SpeedLimitReason, seconds,
 };
 use moca_tactile::Firmware;
 use moca_tactile::board::SILENT_AFTER_NS;
@@ -173,9 +172,9 @@ impl Protection {
         self.state.tracker.squeezed(now_ns, rows);
     }
 
-    /// Speed of the fastest point of the cover at the base's measured velocity, m/s.
-    pub fn cover_speed_m_s(&self, robot: &RobotState<JOINTS>) -> f64 {
-        self.outline.fastest(&barrier::velocity_body(robot))
+    /// Speed of the fastest point of the cover at the base's measured velocity, axes of B, m/s.
+    pub fn cover_speed_m_s(&self, velocity_body: &[f64; 3]) -> f64 {
+        self.outline.fastest(velocity_body)
     }
 
     /// Speed limit for a reading that is `delay_s` late, m/s: F/(k(T + τ)) for the part F of the force limit that the
@@ -390,6 +389,7 @@ mod tests {
     use super::*;
     use crate::config::BarrierReadings;
     use crate::robot::PlantKind;
+    use moca_msgs::RobotState;
     use moca_msgs::protection::ContactPhase;
 
     const MS: u64 = 1_000_000;
@@ -664,7 +664,7 @@ mod tests {
                 base_velocity_world: velocity_world,
                 ..RobotState::at_rest([0.0; JOINTS])
             };
-            let speed_m_s = protection.cover_speed_m_s(&robot);
+            let speed_m_s = protection.cover_speed_m_s(&barrier::velocity_body(&robot));
             assert!((speed_m_s - expected).abs() < 1e-9, "{velocity_world:?}: {speed_m_s}");
         }
     }

@@ -12,7 +12,7 @@ use crate::config::{Config, RecentrePolicy};
 use crate::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
 use crate::supervisor::Touch;
-use moca_msgs::{Outcome, Parameters, PostureOffset, Refusal, RobotState};
+use moca_msgs::{Outcome, Parameters, PostureOffset, Refusal};
 use moca_wbc::nalgebra::{Matrix3, Vector2, Vector3};
 use moca_wbc::{BaseGuard, ControlLaw, ControlOutput, rotation};
 use serde::{Deserialize, Serialize};
@@ -175,16 +175,14 @@ impl Recentre {
             && self.state.bounds_body == RecentreState::default().bounds_body
     }
 
-    /// Takes in what `law` made of the tick.
+    /// Takes in what `law` made of the tick, the base being at this pose with this sine and cosine of its yaw.
     pub fn remember(
         &mut self,
         law: ControlLaw,
-        robot: &RobotState<JOINTS>,
+        ([x, y, _], (sin, cos)): ([f64; 3], (f64, f64)),
         output: &ControlOutput<JOINTS>,
         dt_s: f64,
     ) {
-        let [x, y, yaw] = robot.base_pose_world;
-        let (sin, cos) = yaw.sin_cos();
         let flange = output.flange.position_world;
         let [fx, fy, fz, mx, my, mz] = output.flange_wrench_world;
         let (force_n, moment_nm) =
@@ -211,15 +209,14 @@ impl Recentre {
         state.bounds_body[0] = std::array::from_fn(|i| state.bounds_body[0][i].min(velocity[i]).min(0.0));
         state.bounds_body[1] = std::array::from_fn(|i| state.bounds_body[1][i].max(velocity[i]).max(0.0));
         let posture = self.place.filter(|_| law == ControlLaw::Impedance);
-        self.offset = posture.map(|place| offset(&place, robot, (sin, cos), output, state.recentring));
+        self.offset = posture.map(|place| offset(&place, ([x, y], (sin, cos)), output, state.recentring));
     }
 }
 
 /// Displacement of the base, whose yaw has this sine and cosine, that would bring the tool to its place in the posture.
 fn offset(
     place: &PosturePlace,
-    robot: &RobotState<JOINTS>,
-    (sin, cos): (f64, f64),
+    ([x, y], (sin, cos)): ([f64; 2], (f64, f64)),
     output: &ControlOutput<JOINTS>,
     recentring: bool,
 ) -> PostureOffset {
@@ -229,7 +226,6 @@ fn offset(
     let toward = Vector2::new(turned(0, 0) + turned(1, 1), turned(1, 0) - turned(0, 1));
     let angle_rad = (cos * toward.y - sin * toward.x).atan2(cos * toward.x + sin * toward.y);
     let toward = toward.try_normalize(0.0).unwrap_or(Vector2::new(cos, sin));
-    let [x, y, _] = robot.base_pose_world;
     let [tool_x, tool_y, _] = output.flange.position_world;
     let posture = place.position_base;
     let wanted = Vector2::new(
@@ -258,7 +254,7 @@ mod tests {
         let place = PosturePlace { position_base: Vector3::zeros(), rotation_base: Matrix3::identity() };
         let mut recentre = Recentre::new(&config, Some(place));
         let output = ControlOutput { flange_wrench_world, ..WITHOUT_PARTS };
-        recentre.remember(law, &RobotState::at_rest([0.0; JOINTS]), &output, DT_S);
+        recentre.remember(law, ([0.0; 3], (0.0, 1.0)), &output, DT_S);
         let mut guard = BaseGuard::NONE;
         recentre.bound(&mut guard, &config.parameters(), (law, false), DT_S);
         guard.bounds_body

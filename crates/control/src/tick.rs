@@ -22,6 +22,8 @@ pub struct ControlLoop<P, S> {
     pub plant: P,
     /// Its cover.
     pub cover: S,
+    /// State of the cover in this tick.
+    felt: CoverState,
     state_check: StateCheck,
     supervisor: Supervisor,
     motion: Motion,
@@ -46,7 +48,8 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     pub fn new(plant: P, cover: S, supervisor: Supervisor, motion: Motion, period_s: f64) -> Self {
         let (state_check, ticked) = (StateCheck::default(), Ticked::default());
         let arm_released = motion.is_of_a_real_robot();
-        Self { plant, cover, state_check, supervisor, motion, period_s, arm_released, ticked }
+        let felt = CoverState::NONE;
+        Self { plant, cover, felt, state_check, supervisor, motion, period_s, arm_released, ticked }
     }
 
     /// One tick: read, decide, command, write; `timer` hears of each stage's end. What it leaves behind stays where it is:
@@ -62,14 +65,26 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         };
         let flange = self.flange_reading();
         let flange_fault = self.motion.feel_flange(flange, robot.state.as_mut(), elapsed_s).err();
+        if let Some(state) = &robot.state {
+            self.motion.see(state);
+        }
         timer.end(Stage::Read);
 
-        let cover = self.cover.read(slot.now_ns);
+        self.cover.read(slot.now_ns, &mut self.felt);
         timer.end(Stage::Cover);
 
-        let (outcome, mode) = self.decide(slot, (&robot, flange_fault), &cover, request);
-        let output = self.command(slot, &robot, &cover, mode);
-        let actuation = self.actuation(&robot, output.as_ref());
+        let (outcome, mode) = self.decide(slot, (&robot, flange_fault), request);
+        self.motion.protect(slot.now_ns, &self.felt, mode);
+        self.release_arm(&robot, mode);
+        let dt_s = self.elapsed_s(slot);
+        // large, and nowhere copied
+        let output = match robot.state.as_ref().filter(|_| mode != Mode::Fault) {
+            Some(state) => self.motion.command(slot.now_ns, mode, state, &self.felt.poll.forces, dt_s),
+            None => Err(robot.fault.unwrap_or(Fault::StateInvalid)),
+        };
+        self.heed(&robot, &output, mode, dt_s);
+        let output = output.as_ref().ok();
+        let actuation = self.actuation(&robot, output);
         timer.end(Stage::Control);
 
         let refused = self.plant.write(&actuation, slot.ticks).err();
@@ -81,7 +96,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         self.ticked.sample.gripper = gripper;
         timer.end(Stage::Write);
 
-        self.show(slot, (robot.state.as_ref(), age, link), &cover, &actuation, output.as_ref());
+        self.show(slot, (robot.state.as_ref(), age, link), &actuation, output);
         self.ticked.input = TickInput {
             slot: *slot,
             state: measured,
@@ -92,7 +107,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             request,
             outcome,
             refused,
-            cover_events: cover.events,
+            cover_events: self.felt.events,
         };
         &self.ticked
     }
@@ -171,9 +186,9 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         &mut self,
         slot: &Slot,
         (robot, flange_fault): (&Checked, Option<Fault>),
-        cover: &CoverState,
         request: Option<Request>,
     ) -> (Option<Outcome>, Mode) {
+        let cover = &self.felt;
         let taxels = ..self.motion.taxels();
         let (flange_zero, no_zero) = self.motion.flange_zero();
         let of_cover = matches!(cover.zero, Zero::Invalid | Zero::Refused);
@@ -227,24 +242,19 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         }
     }
 
-    /// The law's output in `mode`; none is the brake.
-    fn command(
+    /// Takes in the law's output in `mode`; without one the robot brakes.
+    fn heed(
         &mut self,
-        slot: &Slot,
         robot: &Checked,
-        cover: &CoverState,
+        output: &Result<ControlOutput<JOINTS>, Fault>,
         mode: Mode,
-    ) -> Option<ControlOutput<JOINTS>> {
-        self.motion.protect(slot.now_ns, cover, mode);
-        self.release_arm(robot, mode);
+        dt_s: f64,
+    ) {
         let (Some(robot), false) = (&robot.state, mode == Mode::Fault) else {
             // Whatever runs next starts from where the robot then is.
-            self.motion.leave();
-            return None;
+            return self.motion.leave();
         };
-        let dt_s = self.elapsed_s(slot);
-        let output = self.motion.command(slot.now_ns, mode, robot, &cover.poll.forces, dt_s);
-        let stop = match &output {
+        let stop = match output {
             Ok(output) => {
                 let late = self.motion.watch_base(robot, dt_s).err();
                 self.motion.remember(mode, robot, output, dt_s);
@@ -255,7 +265,6 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         if let Some(fault) = stop {
             self.supervisor.stop_for(fault);
         }
-        output.ok()
     }
 
     /// Leaves a real arm to its own controller in this tick if needed: until the robot is ready for the first time, and after a stop
@@ -288,11 +297,10 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         &mut self,
         slot: &Slot,
         (robot, age, link): (Option<&RobotState<JOINTS>>, SourceAge, Option<ArmLink>),
-        cover: &CoverState,
         actuation: &Actuation<JOINTS>,
         output: Option<&ControlOutput<JOINTS>>,
     ) {
-        let Self { supervisor, motion, ticked: Ticked { sample, .. }, .. } = self;
+        let Self { supervisor, motion, felt: cover, ticked: Ticked { sample, .. }, .. } = self;
         sample.tick = slot.tick;
         sample.time_ns = slot.now_ns;
         sample.lateness_s = slot.lateness_s;
@@ -321,7 +329,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
 
         sample.base_pose_world = robot.map_or([0.0; 3], |robot| robot.base_pose_world);
         sample.base_velocity_world = robot.map_or([0.0; 3], |robot| robot.base_velocity_world);
-        sample.cover_speed_m_s = robot.map_or(0.0, |robot| motion.cover_speed_m_s(robot));
+        sample.cover_speed_m_s = robot.map_or(0.0, |_| motion.cover_speed_m_s());
         sample.uncovered_way_m = robot.map_or(0.0, |_| motion.uncovered_way_m());
         fill(&mut sample.q_rad, robot.map_or(&[], |robot| &robot.q_rad[joints]));
         fill(&mut sample.dq_rad_s, robot.map_or(&[], |robot| &robot.dq_rad_s[joints]));
@@ -418,8 +426,8 @@ mod tests {
     struct Scripted(CoverState);
 
     impl CoverSource for Scripted {
-        fn read(&mut self, _now_ns: u64) -> CoverState {
-            self.0
+        fn read(&mut self, _now_ns: u64, felt: &mut CoverState) {
+            *felt = self.0;
         }
 
         fn start_tare(&mut self, _now_ns: u64) {

@@ -8,11 +8,10 @@
 //! way: the one who is hurt for certain before the one who may stand there. Both ways are the same count, so that room
 //! that was made is used up for the law.
 
-use crate::barrier;
 use crate::config::Config;
 use crate::cover::CoverState;
-use crate::robot::{JOINTS, TAXELS};
-use moca_msgs::{RobotState, TaxelPlacement, TaxelReading, TaxelStatus};
+use crate::robot::TAXELS;
+use moca_msgs::{TaxelPlacement, TaxelReading, TaxelStatus};
 use serde::{Deserialize, Serialize};
 use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, PI};
 
@@ -116,9 +115,8 @@ impl Uncovered {
         self.state.gone_m.iter().chain(&self.state.turned_m).fold(0.0, |most, way| most.max(*way))
     }
 
-    /// Moves on by `dt_s` with the measured motion of the base.
-    pub fn advance(&mut self, robot: &RobotState<JOINTS>, dt_s: f64) {
-        let [forward, left, yaw] = barrier::velocity_body(robot);
+    /// Moves on by `dt_s` with the base's measured velocity, axes of B, m/s, m/s, rad/s.
+    pub fn advance(&mut self, [forward, left, yaw]: [f64; 3], dt_s: f64) {
         let (sides, state) = (self.sides(), &mut self.state);
         let speed_m_s = (forward * forward + left * left).sqrt();
         let rests = !state.held && !self.touched && speed_m_s < STANDS && yaw.abs() < STANDS;
@@ -197,7 +195,9 @@ fn corners(sides: &[bool; 4]) -> bool {
 #[expect(clippy::float_cmp, reason = "what is free and what is used up are exact")]
 mod tests {
     use super::*;
-    use crate::robot::CoverTable;
+    use crate::barrier;
+    use crate::robot::{CoverTable, JOINTS};
+    use moca_msgs::RobotState;
 
     const DT_S: f64 = 1e-3;
     const BRAKES: [f64; 3] = [3.0, 3.0, 6.0];
@@ -228,7 +228,7 @@ mod tests {
         while t_s < seconds {
             let bounds = uncovered.bounds_body(BRAKES).unwrap_or([[-FREE; 3], [FREE; 3]]);
             let allowed = std::array::from_fn(|i| velocity[i].clamp(bounds[0][i], bounds[1][i]));
-            uncovered.advance(&moving(0.7, allowed), DT_S);
+            uncovered.advance(barrier::velocity_body(&moving(0.7, allowed)), DT_S);
             uncovered.remember(allowed != velocity);
             t_s += DT_S;
         }
@@ -298,7 +298,7 @@ mod tests {
             uncovered.remember(held);
             let mut t_s = 0.0;
             while t_s < seconds {
-                uncovered.advance(&moving(0.7, velocity), DT_S);
+                uncovered.advance(barrier::velocity_body(&moving(0.7, velocity)), DT_S);
                 t_s += DT_S;
             }
             uncovered.way_m()

@@ -36,7 +36,7 @@ impl ByteCover {
 }
 
 impl CoverSource for ByteCover {
-    fn read(&mut self, now_ns: u64) -> CoverState {
+    fn read(&mut self, now_ns: u64, felt: &mut CoverState) {
         for board in 0..self.events.boards() {
             for _ in 0..EVENTS_PER_TICK {
                 let Some(event) = self.events.take(board) else { break };
@@ -46,28 +46,20 @@ impl CoverSource for ByteCover {
                 self.cover.event(board, &event);
             }
         }
-        let mut poll = self.cover.poll(now_ns);
-        poll.fault = poll.fault.filter(|fault| *fault != Fault::ZeroInvalid);
+        self.cover.poll_into(now_ns, &mut felt.poll);
+        felt.poll.fault = felt.poll.fault.filter(|fault| *fault != Fault::ZeroInvalid);
         let diagnoses = || self.cover.boards().map(BoardMonitor::diagnosis);
         let ill = diagnoses().find(|diagnosis| *diagnosis != Diagnosis::Frames);
         let frames = |of: fn(&BoardStats) -> u64| self.cover.boards().map(|board| of(board.stats())).sum();
         let slowest_hz = self.cover.boards().map(BoardMonitor::rate_hz).reduce(f64::min);
-        CoverState {
-            poll,
-            zero: self.zero(),
-            deviation_counts: self
-                .cover
-                .zeros()
-                .iter()
-                .flatten()
-                .fold(0.0, |worst, zero| worst.max(zero.deviation)),
-            counts: self.cover.counts(),
-            board: ill.or_else(|| diagnoses().next()).unwrap_or_default(),
-            frames_good: frames(|stats| stats.frames_good),
-            frames_bad: frames(|stats| stats.frames_bad),
-            rate_hz: slowest_hz.unwrap_or(0.0),
-            events: self.events.taken(),
-        }
+        felt.zero = self.zero();
+        felt.deviation_counts = self.cover.deviation_counts();
+        felt.counts = self.cover.counts();
+        felt.board = ill.or_else(|| diagnoses().next()).unwrap_or_default();
+        felt.frames_good = frames(|stats| stats.frames_good);
+        felt.frames_bad = frames(|stats| stats.frames_bad);
+        felt.rate_hz = slowest_hz.unwrap_or(0.0);
+        felt.events = self.events.taken();
     }
 
     fn start_tare(&mut self, now_ns: u64) {

@@ -242,10 +242,10 @@ mod tests {
 
     #[cfg(feature = "sim")]
     impl crate::control::cover::CoverSource for Pushed {
-        fn read(&mut self, now_ns: u64) -> crate::control::cover::CoverState {
+        fn read(&mut self, now_ns: u64, felt: &mut crate::control::cover::CoverState) {
             self.0.reading.sampled_at_ns = Some(now_ns);
             self.0.frames_good += 1;
-            self.0
+            *felt = self.0;
         }
 
         fn start_tare(&mut self, _now_ns: u64) {

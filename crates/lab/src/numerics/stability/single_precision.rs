@@ -1,7 +1,7 @@
 //! The law in single precision, in contact: the same closed loop with either scalar, side by side.
 
 use anyhow::{Context, Result};
-use moca_control::cover::CoverSource;
+use moca_control::cover::{CoverSource, CoverState};
 use moca_experiments::collision;
 use moca_experiments::cpu_time;
 use moca_experiments::settings::Settings;
@@ -57,13 +57,14 @@ pub(super) fn run<T: Scalar>(settings: &Settings, narrow: fn(f64) -> T, widen: f
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "some thousand ticks")]
     let [ticks, period] =
         [settings.duration_s * rate_hz, 1e-3 * settings.period_ms() * rate_hz].map(|n| n.round() as u64);
-    let mut cover = IdealCover::new(period, 0);
+    let (mut cover, mut felt) = (IdealCover::new(period, 0), CoverState::NONE);
     let (mut poses, mut forces_n, mut flange_m) = (Vec::new(), Vec::new(), Vec::new());
     for tick in 0..ticks {
         #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "some seconds")]
         let now_ns = (1e9 * count(usize::try_from(tick)?) / rate_hz) as u64;
         cover.take_forces(now_ns, plant.taxel_force_mean_n());
-        let felt_n = cover.read(now_ns).poll.forces.ok().context("a cover that always feels")?;
+        cover.read(now_ns, &mut felt);
+        let felt_n = felt.poll.forces.ok().context("a cover that always feels")?;
         let input = ControlInput::new(state(&plant), taxels(&felt_n, narrow), narrow(1.0 / rate_hz));
         let output = law.step(ControlLaw::Impedance, &mut memory, &input)?;
         plant.apply(&Actuation::Drive(RobotCommand {
