@@ -113,7 +113,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
 
     /// `out` becomes what [`ArmModel::dynamics`] gives: nothing is copied.
     #[inline]
-    pub(crate) fn dynamics_at(&self, yaw: T, q: &[T; N], dq: &[T; N], out: &mut Dynamics<N, T>) {
+    pub fn dynamics_at(&self, yaw: T, q: &[T; N], dq: &[T; N], out: &mut Dynamics<N, T>) {
         let place = (yaw, q);
         if self.chain.is_square {
             self.dynamics_by::<Square<T>>(place, (T::zero(), dq), out);
@@ -485,9 +485,9 @@ impl<const N: usize, T: Scalar> Kinematics<N, T> {
 }
 
 impl<const N: usize, T: Scalar> Dynamics<N, T> {
-    /// Room for dynamics that are computed where they stand: returned, they would be copied.
+    /// Room for [`ArmModel::dynamics_at`], all zero.
     #[inline]
-    pub(crate) fn unset() -> Self {
+    pub fn unset() -> Self {
         Self {
             kinematics: Kinematics::unset(),
             mass: [[T::zero(); N]; N].into(),

@@ -24,7 +24,7 @@
 
 use crate::error::ControlError;
 use crate::linalg::{Cholesky, dot, times, transpose_times, weighted_outer};
-use crate::model::{Dynamics, Kinematics};
+use crate::model::Dynamics;
 use crate::scalar::{Scalar, of};
 use moca_msgs::ParameterError;
 use nalgebra::SMatrix;
@@ -41,7 +41,7 @@ pub struct WholeBodyForce<const N: usize, T> {
 /// The arm as its tool frame sees it: M_A and J_A.
 #[derive(Clone, Copy, Debug)]
 pub struct ArmDynamics<'a, const N: usize, T> {
-    kinematics: &'a Kinematics<N, T>,
+    dynamics: &'a Dynamics<N, T>,
     mass: Cholesky<N, T>,
     /// (L⁻¹·J_Aᵀ)ᵀ with M_A = L·D·Lᵀ.
     reduced: SMatrix<T, 6, N>,
@@ -56,29 +56,32 @@ impl<'a, const N: usize, T: Scalar> ArmDynamics<'a, N, T> {
     /// [`ControlError::NotPositiveDefinite`] if the mass matrix is not.
     pub fn new(dynamics: &'a Dynamics<N, T>) -> Result<Self, ControlError> {
         let mut arm = Self::unset(dynamics);
-        arm.factorise(dynamics)?;
+        arm.factorise()?;
         Ok(arm)
     }
 
     /// Room for an arm that is factorised where it stands: returned, it would be copied.
     #[inline]
-    pub(crate) fn unset(dynamics: &'a Dynamics<N, T>) -> Self {
+    pub fn unset(dynamics: &'a Dynamics<N, T>) -> Self {
         Self {
-            kinematics: &dynamics.kinematics,
+            dynamics,
             mass: Cholesky::unset(),
             reduced: [[T::zero(); 6]; N].into(),
             inverse_task_inertia: [[T::zero(); 6]; 6].into(),
         }
     }
 
-    /// Becomes what [`ArmDynamics::new`] gives, of the dynamics that it has been made for.
+    /// Becomes what [`ArmDynamics::new`] gives.
+    ///
+    /// # Errors
+    /// As [`ArmDynamics::new`].
     #[inline(never)]
-    pub(crate) fn factorise(&mut self, dynamics: &Dynamics<N, T>) -> Result<(), ControlError> {
-        let Self { kinematics, mass, reduced, inverse_task_inertia } = self;
+    pub fn factorise(&mut self) -> Result<(), ControlError> {
+        let Self { dynamics, mass, reduced, inverse_task_inertia } = self;
         if !mass.factorise(&dynamics.mass) {
             return Err(ControlError::NotPositiveDefinite { what: "M_A" });
         }
-        *reduced = SMatrix::from(mass.solve_lower_rows(&kinematics.arm_jacobian().data.0));
+        *reduced = SMatrix::from(mass.solve_lower_rows(&dynamics.kinematics.arm_jacobian().data.0));
         *inverse_task_inertia = weighted_outer(reduced, mass.inverse_diagonal());
         Ok(())
     }
@@ -103,7 +106,7 @@ impl<'a, const N: usize, T: Scalar> ArmDynamics<'a, N, T> {
         let mut factor = Cholesky::unset();
         factorise(&self.inverse_task_inertia, &mut factor)?;
         let wanted = difference(&times(&self.inverse_task_inertia, wrench), &self.acceleration(null_torque));
-        let task = transpose_times(self.kinematics.arm_jacobian(), &solved(&factor, &wanted));
+        let task = transpose_times(self.dynamics.kinematics.arm_jacobian(), &solved(&factor, &wanted));
         Ok(core::array::from_fn(|i| null_torque[i] + task[i]))
     }
 
@@ -122,8 +125,8 @@ impl<'a, const N: usize, T: Scalar> ArmDynamics<'a, N, T> {
     /// # Errors
     /// [`ControlError::NotPositiveDefinite`] if Λ⁻¹ is not even semi-definite (NaN).
     pub fn torque_for_refused(&self, refused: &[T; 3]) -> Result<[T; N], ControlError> {
-        let missed = self.bearable_task_inertia()?.solve(&self.kinematics.twist_from_base(refused));
-        Ok(transpose_times(self.kinematics.arm_jacobian(), &missed))
+        let missed = self.bearable_task_inertia()?.solve(&self.dynamics.kinematics.twist_from_base(refused));
+        Ok(transpose_times(self.dynamics.kinematics.arm_jacobian(), &missed))
     }
 
     /// Λ of the arm alone, no heavier than 1/[`HEAVY`], as the factors of its inverse.
@@ -235,7 +238,7 @@ impl<'a, const N: usize, T: Scalar> ArmDynamics<'a, N, T> {
 
     /// M_A⁻¹ J_Aᵀ·F: what a wrench at the tool makes the joints do.
     pub(crate) fn response(&self, wrench: &[T; 6]) -> [T; N] {
-        self.joint_acceleration(&transpose_times(self.kinematics.arm_jacobian(), wrench))
+        self.joint_acceleration(&transpose_times(self.dynamics.kinematics.arm_jacobian(), wrench))
     }
 
     /// M_A⁻¹ τ: what joint torques make the joints do on a standing base, rad/s².
@@ -274,7 +277,7 @@ impl<'a, const N: usize, T: Scalar> TaskDynamics<'a, N, T> {
     /// Adds J_B·diag(w)·J_Bᵀ: a planar base moves the tool in x, y and about z.
     #[inline]
     fn add_base(&self, sum: &mut SMatrix<T, 6, 6>, &[wx, wy, w]: &[T; 3]) {
-        let lever = self.arm.kinematics.tool_from_base();
+        let lever = self.arm.dynamics.kinematics.tool_from_base();
         let (x, y) = (lever.x * w, -(lever.y * w));
         sum[(0, 0)] += wx - lever.y * y;
         sum[(1, 1)] += wy + lever.x * x;
@@ -288,7 +291,7 @@ impl<'a, const N: usize, T: Scalar> TaskDynamics<'a, N, T> {
     /// Λ⁻¹·F.
     #[inline]
     fn acceleration_of_wrench(&self, wrench: &[T; 6]) -> [T; 6] {
-        let by_base = self.base_acceleration(&self.arm.kinematics.force_on_base(wrench));
+        let by_base = self.base_acceleration(&self.arm.dynamics.kinematics.force_on_base(wrench));
         sum(&times(&self.arm.inverse_task_inertia, wrench), &by_base)
     }
 
@@ -300,7 +303,10 @@ impl<'a, const N: usize, T: Scalar> TaskDynamics<'a, N, T> {
 
     #[inline]
     fn base_acceleration(&self, force: &[T; 3]) -> [T; 6] {
-        self.arm.kinematics.twist_from_base(&core::array::from_fn(|i| force[i] / self.virtual_mass[i]))
+        self.arm
+            .dynamics
+            .kinematics
+            .twist_from_base(&core::array::from_fn(|i| force[i] / self.virtual_mass[i]))
     }
 
     /// J̄ᵀτ of base and arm together.
@@ -355,7 +361,7 @@ impl<T: Scalar> BlockWeight<T> {
 
     /// Weight of `task`, not factorised yet: room for factors that are computed where they stand.
     #[inline]
-    pub(crate) fn of<'a, const N: usize>(&self, task: &'a TaskDynamics<'a, N, T>) -> BlockWeighted<'a, N, T> {
+    pub fn of<'a, const N: usize>(&self, task: &'a TaskDynamics<'a, N, T>) -> BlockWeighted<'a, N, T> {
         BlockWeighted { task, weight: *self, factor: Cholesky::unset() }
     }
 }
@@ -376,9 +382,12 @@ pub(crate) struct Goal<T> {
 }
 
 impl<const N: usize, T: Scalar> BlockWeighted<'_, N, T> {
+    /// Becomes what [`BlockWeight::factor`] gives.
+    ///
+    /// # Errors
     /// As [`BlockWeight::factor`].
     #[inline]
-    pub(crate) fn factorise(&mut self) -> Result<(), ControlError> {
+    pub fn factorise(&mut self) -> Result<(), ControlError> {
         let Self { task, weight, factor } = self;
         let mut weighted = task.arm.inverse_task_inertia * weight.arm;
         task.add_base(&mut weighted, &task.virtual_mass.map(|mass| weight.base / mass));
@@ -409,22 +418,29 @@ impl<const N: usize, T: Scalar> BlockWeighted<'_, N, T> {
     /// τ_v of eq. (6).
     #[inline]
     pub(crate) fn base_force(&self, y: &[T; 6], null_base: &[T; 3]) -> [T; 3] {
-        let base = self.task.arm.kinematics.force_on_base(y);
+        let base = self.task.arm.dynamics.kinematics.force_on_base(y);
         core::array::from_fn(|i| null_base[i] + self.weight.base * base[i])
     }
 
     /// τ_A of eq. (6).
     #[inline]
     pub(crate) fn arm_force(&self, y: &[T; 6], null_arm: &[T; N]) -> [T; N] {
-        let arm = transpose_times(self.task.arm.kinematics.arm_jacobian(), y);
+        let arm = transpose_times(self.task.arm.dynamics.kinematics.arm_jacobian(), y);
         core::array::from_fn(|i| null_arm[i] + self.weight.arm * arm[i])
     }
 
     /// S = M_v − J_Bᵀ(A_B + ρ A_A)⁻¹J_B, symmetric: S·M_v⁻¹·f is what the null space leaves of a force f on the base.
     pub fn free_base_mass(&self) -> SMatrix<T, 3, 3> {
         let inverse = self.factor.inverse_diagonal();
-        let columns =
-            self.task.arm.kinematics.base_jacobian().data.0.map(|column| self.factor.solve_lower(&column));
+        let columns = self
+            .task
+            .arm
+            .dynamics
+            .kinematics
+            .base_jacobian()
+            .data
+            .0
+            .map(|column| self.factor.solve_lower(&column));
         let mut out = SMatrix::<T, 3, 3>::zeros();
         for (i, column) in columns.iter().enumerate() {
             let scaled = core::array::from_fn(|k| -self.weight.base * column[k] * inverse[k]);
@@ -489,7 +505,7 @@ impl<const N: usize, T: Scalar> AxisWeight<N, T> {
         let y = factor.solve(&difference(&task.acceleration_of_wrench(wrench), &task.acceleration(null)));
         let along = transpose_times(&v, &y);
         let arm = arm.times(&core::array::from_fn(|i| arm.diagonal()[i] * along[i]));
-        let base = task.arm.kinematics.force_on_base(&y);
+        let base = task.arm.dynamics.kinematics.force_on_base(&y);
         Ok(WholeBodyForce {
             base: core::array::from_fn(|i| null.base[i] + base[i] / (self.base[i] * self.base[i])),
             arm: core::array::from_fn(|i| null.arm[i] + arm[i] / self.arm[i]),

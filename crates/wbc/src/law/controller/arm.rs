@@ -245,7 +245,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
             let measured = input.flange_wrench_world;
             let mut arm = tick.task(law);
             if let Some(arm) = &mut arm {
-                arm.factorise(tick.dynamics)?;
+                arm.factorise()?;
             }
             let arm = arm.as_ref();
             let flange_wrench_world = tick.flange_wrench(next, measured, arm)?;

@@ -185,7 +185,7 @@ impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
             Some(arm) => arm.felt_wrench(torque)?,
             None => {
                 let mut arm = ArmDynamics::unset(self.dynamics);
-                arm.factorise(self.dynamics)?;
+                arm.factorise()?;
                 arm.felt_wrench(torque)?
             }
         };

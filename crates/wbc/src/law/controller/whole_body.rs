@@ -254,7 +254,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             self.approach(next, tick.dt_s);
             let mut arm = tick.task(law);
             if let Some(arm) = &mut arm {
-                arm.factorise(tick.dynamics)?;
+                arm.factorise()?;
             }
             let arm = arm.as_ref();
             let heading = &tick.kinematics.heading;

@@ -12,7 +12,7 @@ use data::{Anchor, Input};
 use moca_experiments::{JOINTS, count};
 use moca_wbc::ControlError;
 use moca_wbc::linalg::times;
-use moca_wbc::model::ArmModel;
+use moca_wbc::model::{ArmModel, Dynamics};
 use moca_wbc::opspace::{ArmDynamics, AxisWeight, BlockWeight, TaskDynamics, WholeBodyForce};
 use nalgebra::{Matrix3, Vector3};
 use serde::Deserialize;
@@ -83,17 +83,22 @@ struct Own {
 fn passes(
     ticker: &Ticker,
     anchor: &Anchor,
-    tick: impl Fn(&Ticker, &Input) -> Result<WholeBodyForce<JOINTS, f64>, ControlError>,
+    tick: impl Fn(
+        &Ticker,
+        &mut Dynamics<JOINTS, f64>,
+        &Input,
+    ) -> Result<WholeBodyForce<JOINTS, f64>, ControlError>,
 ) -> Result<Own> {
+    let mut room = Dynamics::unset();
     let mut rel_error = 0.0_f64;
     for (input, reference) in anchor.inputs.iter().zip(&anchor.references) {
-        rel_error = larger(rel_error, relative_error(&tick(ticker, input)?, reference));
+        rel_error = larger(rel_error, relative_error(&tick(ticker, &mut room, input)?, reference));
     }
     let mut ns = Vec::with_capacity(PASSES);
     for _ in 0..PASSES {
         let start = Instant::now();
         for input in &anchor.inputs {
-            black_box(tick(black_box(ticker), black_box(input))?);
+            black_box(tick(black_box(ticker), black_box(&mut room), black_box(input))?);
         }
         ns.push(start.elapsed().as_secs_f64() * 1e9 / count(anchor.inputs.len()));
     }
@@ -138,27 +143,40 @@ impl Ticker {
     }
 
     #[inline]
-    fn block(&self, input: &Input) -> Result<WholeBodyForce<JOINTS, f64>, ControlError> {
-        self.tick(input, |task, wrench, null| Ok(self.block.factor(task)?.force(wrench, null)))
+    fn block(
+        &self,
+        room: &mut Dynamics<JOINTS, f64>,
+        input: &Input,
+    ) -> Result<WholeBodyForce<JOINTS, f64>, ControlError> {
+        self.tick(room, input, |task, wrench, null| {
+            let mut weighted = self.block.of(task);
+            weighted.factorise()?;
+            Ok(weighted.force(wrench, null))
+        })
     }
 
     #[inline]
-    fn general(&self, input: &Input) -> Result<WholeBodyForce<JOINTS, f64>, ControlError> {
-        self.tick(input, |task, wrench, null| self.general.force(task, wrench, null))
+    fn general(
+        &self,
+        room: &mut Dynamics<JOINTS, f64>,
+        input: &Input,
+    ) -> Result<WholeBodyForce<JOINTS, f64>, ControlError> {
+        self.tick(room, input, |task, wrench, null| self.general.force(task, wrench, null))
     }
 
     #[inline]
     fn tick(
         &self,
+        dynamics: &mut Dynamics<JOINTS, f64>,
         input: &Input,
         law: impl Fn(
-            &TaskDynamics<'_, 7, f64>,
+            &TaskDynamics<'_, JOINTS, f64>,
             &[f64; 6],
             &WholeBodyForce<JOINTS, f64>,
         ) -> Result<WholeBodyForce<JOINTS, f64>, ControlError>,
     ) -> Result<WholeBodyForce<JOINTS, f64>, ControlError> {
-        let dynamics = self.model.dynamics(input.base_pose[2], &input.q, &input.dq);
-        let kinematics = &dynamics.kinematics;
+        self.model.dynamics_at(input.base_pose[2], &input.q, &input.dq, dynamics);
+        let (dynamics, kinematics) = (&*dynamics, &dynamics.kinematics);
         let tool = kinematics.tool_from_base() + Vector3::new(input.base_pose[0], input.base_pose[1], 0.0);
         let error =
             pose_error(&(input.desired_position - tool), &kinematics.tool_rotation, &input.desired_rotation);
@@ -175,7 +193,8 @@ impl Ticker {
             &input.dq,
         );
         let null = WholeBodyForce { base: input.cover, arm: posture };
-        let arm = ArmDynamics::new(&dynamics)?;
+        let mut arm = ArmDynamics::unset(dynamics);
+        arm.factorise()?;
         let task = TaskDynamics::new(self.virtual_mass, &arm);
         let mut force = law(&task, &wrench, &null)?;
         force.arm.iter_mut().zip(dynamics.bias).for_each(|(torque, bias)| *torque += bias);
