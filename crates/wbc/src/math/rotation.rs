@@ -48,7 +48,7 @@ impl<T: Scalar> Heading<T> {
     /// Returns the rotation of a base at `yaw`, rad.
     #[inline]
     pub fn at(yaw: T) -> Self {
-        let [[sin, ..], [cos, ..]] = T::sin_cos_of_four([yaw; 4]);
+        let (sin, cos) = yaw.sin_cos_abreast();
         Self { sin, cos }
     }
 

@@ -120,16 +120,21 @@ impl<T: Scalar> Turn<T> {
     /// By each of `angles`, rad, and by one before them: several at once.
     #[inline]
     pub(crate) fn all<const N: usize>(first: T, angles: &[T; N]) -> (Self, [Self; N]) {
+        // two registers of doubles, in a loop too long for compilers to take it apart before they see that
+        const LANES: usize = 8;
         let mut turns = [Self { sin: T::zero(), cos: T::one() }; N];
         let mut of_first = Self { sin: T::zero(), cos: T::one() };
-        for group in 0..=N / 4 {
-            let angle = |lane: usize| match 4 * group + lane {
+        for group in 0..=N / LANES {
+            let angles: [T; LANES] = core::array::from_fn(|lane| match LANES * group + lane {
                 i if (1..=N).contains(&i) => angles[i - 1],
                 _ => first,
-            };
-            let [sines, cosines] = T::sin_cos_of_four(core::array::from_fn(angle));
-            for lane in 0..4 {
-                let (turn, i) = (Self { sin: sines[lane], cos: cosines[lane] }, 4 * group + lane);
+            });
+            let (mut sines, mut cosines) = ([T::zero(); LANES], [T::zero(); LANES]);
+            for lane in 0..LANES {
+                (sines[lane], cosines[lane]) = angles[lane].sin_cos_abreast();
+            }
+            for lane in 0..LANES {
+                let (turn, i) = (Self { sin: sines[lane], cos: cosines[lane] }, LANES * group + lane);
                 if i == 0 {
                     of_first = turn;
                 } else if i <= N {
