@@ -134,9 +134,9 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         let mut felt = [[T::zero(); 6]; N];
         self.place::<S>(yaw, q, &mut out.kinematics);
         self.feel::<S>(rates, &out.kinematics.turn, &mut felt);
-        let composite = self.compose::<S>(out);
-        let composite = S::of(&self.chain.joints[0]).inertia_in_parent(&out.kinematics.turn[0], &composite);
-        (composite, self.bear::<S>(&felt, &out.kinematics.turn, &mut out.bias))
+        let (composite, wrench) = self.bear::<S>(&felt, out);
+        let (root, turn) = (S::of(&self.chain.joints[0]), &out.kinematics.turn[0]);
+        (root.inertia_in_parent(turn, &composite), root.in_parent(turn, wrench))
     }
 
     /// Out along the arm: where everything is. Written where it stands: returned, it would be copied.
@@ -168,13 +168,22 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         }
     }
 
-    /// Back along the arm: M_A and M_AB by composite bodies, each in its own link's axes. Gives the composite of all
-    /// links, in the axes of the first.
+    /// Back along the arm: M_A and M_AB by composite bodies, each in its own link's axes, and joint torques from what the
+    /// links feel. Gives the composite of all links, and the force and moment on them, in the axes of the first.
     #[inline(never)]
-    fn compose<S: Seat<T>>(&self, out: &mut Dynamics<N, T>) -> TurningInertia<T> {
+    fn bear<S: Seat<T>>(
+        &self,
+        felt: &[Wrench<T>; N],
+        out: &mut Dynamics<N, T>,
+    ) -> (TurningInertia<T>, (Vector3<T>, Vector3<T>)) {
         let kinematics = &out.kinematics;
         let mut composite = TurningInertia::zero();
+        let (mut pull, mut twist) = (Vector3::zeros(), Vector3::zeros());
         for i in (0..N).rev() {
+            let [fx, fy, fz, mx, my, mz] = felt[i];
+            pull += Vector3::new(fx, fy, fz);
+            twist += Vector3::new(mx, my, mz);
+            out.bias[i] = twist.z;
             composite = composite + self.chain.links[i];
             // momentum about the joint that a unit rate of it gives to everything beyond it
             let (axes, [_, _, xz, _, yz, zz]) = (&kinematics.link_axes[i], composite.rotational);
@@ -194,10 +203,12 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
                 out.mass.data.0[i][k] = value;
             }
             if i > 0 {
-                composite = S::of(&self.chain.joints[i]).inertia_in_parent(&kinematics.turn[i], &composite);
+                let (seat, turn) = (S::of(&self.chain.joints[i]), &kinematics.turn[i]);
+                composite = seat.inertia_in_parent(turn, &composite);
+                (pull, twist) = seat.in_parent(turn, (pull, twist));
             }
         }
-        composite
+        (composite, (pull, twist))
     }
 
     /// Out along the arm that is in its place: what each link feels (force and moment about its origin, in its axes) by Newton–Euler
@@ -238,26 +249,6 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
                 row(1, of_x) - row(0, of_y) + (hx * a.y - hy * a.x),
             ];
         }
-    }
-
-    /// Back along the arm: joint torques from what the links feel. Gives the force and moment on the chain's root, in its
-    /// axes, about its origin.
-    #[inline(never)]
-    fn bear<S: Seat<T>>(
-        &self,
-        felt: &[Wrench<T>; N],
-        turn: &[Turn<T>; N],
-        torque: &mut [T; N],
-    ) -> (Vector3<T>, Vector3<T>) {
-        let (mut force, mut moment) = (Vector3::zeros(), Vector3::zeros());
-        for i in (0..N).rev() {
-            let [fx, fy, fz, mx, my, mz] = felt[i];
-            force += Vector3::new(fx, fy, fz);
-            moment += Vector3::new(mx, my, mz);
-            torque[i] = moment.z;
-            (force, moment) = S::of(&self.chain.joints[i]).in_parent(&turn[i], (force, moment));
-        }
-        (force, moment)
     }
 
     /// Acceleration of A's origin on a base that turns at `yaw_rate`, in the chain's root axes. Gravity is an upward
