@@ -124,8 +124,8 @@ mod tests {
             let angle = f64::from(i) * 1e-3;
             let (sin, cos) = angle.sin_cos_abreast();
             assert!((sin - angle.sin()).abs() < 2e-16 && (cos - angle.cos()).abs() < 2e-16, "{angle}");
-            let (narrow_sin, narrow_cos) = (angle as f32).sin_cos_abreast();
-            let angle = f64::from(angle as f32);
+            let (narrow_sin, narrow_cos) = of::<f32>(angle).sin_cos_abreast();
+            let angle = f64::from(of::<f32>(angle));
             let errors = [f64::from(narrow_sin) - angle.sin(), f64::from(narrow_cos) - angle.cos()];
             assert!(errors.iter().all(|error| error.abs() < 1.2e-7), "{angle}: {errors:?}");
         }
