@@ -12,7 +12,9 @@ pub(super) const CAMPAIGN: &str =
 
 /// Summary of a campaign's file.
 pub(super) fn markdown(entries: &[Entry<'_>]) -> String {
-    [classes(entries), cells(entries), failures(entries)].join("\n")
+    let mut parts = vec![classes(entries), cells(entries)];
+    parts.extend(failures(entries));
+    parts.join("\n")
 }
 
 /// Kinds of meetings, as the bars are set for them.
@@ -142,12 +144,16 @@ fn cells(entries: &[Entry<'_>]) -> String {
     out
 }
 
-/// Every meeting that should have stayed under the limit and did not, with the reason.
-fn failures(entries: &[Entry<'_>]) -> String {
+/// Every meeting that should have stayed under the limit and did not, with the reason; `None` without one.
+fn failures(entries: &[Entry<'_>]) -> Option<String> {
+    let is_failure = |entry: &&Entry<'_>| entry.above() && Class::of(entry) != Class::Beyond;
+    let mut failed = entries.iter().filter(is_failure).peekable();
+    failed.peek()?;
     let mut out =
         String::from("| run | force | of any law at least | met at | why |\n|---|---|---|---|---|\n");
-    for entry in entries.iter().filter(|entry| entry.above() && Class::of(entry) != Class::Beyond) {
+    for entry in failed {
         let [peak_n, least_n, met_m_s] = ["peak_n", "least_n", "approach_m_s"].map(|name| entry.number(name));
+        // Writing to a string cannot fail.
         let _ = writeln!(
             out,
             "| {} | {peak_n:.1} N | {least_n:.1} N | {met_m_s:.3} m/s | {} |",
@@ -155,7 +161,7 @@ fn failures(entries: &[Entry<'_>]) -> String {
             why(entry)
         );
     }
-    out
+    Some(out)
 }
 
 /// Reason of a force above the limit that some law would have kept below it.
