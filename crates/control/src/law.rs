@@ -39,8 +39,8 @@ pub struct Motion {
     barrier: Option<Box<Barrier>>,
     /// Cap of the push where the cover is not calibrated.
     push_cap: Option<PushCap>,
-    /// Watch on the base, where its stopping distance is believed.
-    base_watch: Option<BaseWatch>,
+    /// Watch on the base, where its stopping distance is believed. Apart likewise.
+    base_watch: Option<Box<BaseWatch>>,
     /// Guard of the base's sides without a taxel.
     uncovered: Option<Uncovered>,
     targets: Targets,
@@ -48,7 +48,7 @@ pub struct Motion {
     /// Remains of past forces in the foam; `None` for the laws as published.
     recovery: Option<FoamRecovery>,
     /// Compensation of loads that the arm's model does not know, if it is on.
-    compensation: Option<Compensation>,
+    compensation: Option<Box<Compensation>>,
     /// Sensor at the flange, if there is one.
     flange: Option<Flange>,
     /// Object in the hand; `None` for none.
@@ -81,14 +81,14 @@ impl Motion {
         let controller = controller::of(config, &parameters)?;
         let barrier = controller.barrier(config)?.map(Box::new);
         let push_cap = PushCap::new(config)?;
-        let base_watch = BaseWatch::new(config);
+        let base_watch = BaseWatch::new(config).map(Box::new);
         let uncovered = parts.has_cover().then(|| Uncovered::new(config));
         let protected = Protected::default();
         let targets = Targets::new(config);
         let place = controller.posture_place(&parameters);
         let recentre = Recentre::new(config, place);
         let recovery = (config.control.recentre == RecentrePolicy::OnRequest).then(FoamRecovery::default);
-        let compensation = Compensation::new(config, &parameters);
+        let compensation = Compensation::new(config, &parameters).map(Box::new);
         let [.., roll, pitch, yaw] = config.robot.payload().tool_origin;
         let tool_from_flange = rotation::from_rpy([roll, pitch, yaw]).transpose();
         let flange = FlangeWrench::new(config).map(|wrench| Flange { wrench, tool_from_flange });
@@ -219,7 +219,7 @@ impl Motion {
     pub fn protect(&mut self, now_ns: u64, cover: &CoverState, mode: Mode) {
         if self.parts.has_cover() {
             let limits = &self.parameters.limits;
-            self.protection.set_late(self.base_watch.as_ref().map_or(0.0, BaseWatch::late_s));
+            self.protection.set_late(self.base_watch.as_deref().map_or(0.0, BaseWatch::late_s));
             self.protection.update(now_ns, cover, limits, mode.moves(), &mut self.protected);
         }
         if let Some(barrier) = &mut self.barrier {
@@ -284,12 +284,12 @@ impl Motion {
             protection: self.protection.state().clone(),
             barrier: self.barrier.as_deref().map(Barrier::state),
             push_cap: self.push_cap.as_ref().map(PushCap::state),
-            base_watch: self.base_watch.as_ref().map(BaseWatch::state),
+            base_watch: self.base_watch.as_deref().map(BaseWatch::state),
             uncovered: self.uncovered.as_ref().map(Uncovered::state),
             targets: self.targets.state().clone(),
             recentre: self.recentre.state(),
             recovery: self.recovery,
-            compensation: self.compensation.as_ref().map(Compensation::state),
+            compensation: self.compensation.as_deref().map(Compensation::state),
             beyond: Beyond {
                 flange: self.flange.as_ref().map(|flange| flange.wrench.state()),
                 object: self.object,
@@ -315,12 +315,12 @@ impl Motion {
             barrier.restore(state, doubtful_way);
         })?;
         restored(self.push_cap.as_mut(), state.push_cap.as_ref(), PushCap::restore)?;
-        restored(self.base_watch.as_mut(), state.base_watch.as_ref(), BaseWatch::restore)?;
+        restored(self.base_watch.as_deref_mut(), state.base_watch.as_ref(), BaseWatch::restore)?;
         restored(self.uncovered.as_mut(), state.uncovered.as_ref(), Uncovered::restore)?;
         self.targets.restore(&state.targets);
         self.recentre.restore(&state.recentre);
         self.recovery = state.recovery;
-        restored(self.compensation.as_mut(), state.compensation.as_ref(), Compensation::restore)?;
+        restored(self.compensation.as_deref_mut(), state.compensation.as_ref(), Compensation::restore)?;
         let flange = self.flange.as_mut().map(|flange| &mut flange.wrench);
         restored(flange, state.beyond.flange.as_ref(), FlangeWrench::restore)?;
         Ok(())

@@ -111,8 +111,8 @@ pub struct CoverOutline<const K: usize, T> {
     /// Corner of the rectangle round all taxels, x and y, m.
     corner: [T; 2],
     map: CoverMap<K, T>,
-    /// Unit vectors along each taxel, away from the nearest one round a corner of the cover, axes of B; 0 where there is none.
-    aside: [[T; 2]; K],
+    /// Side of each taxel, as seen into it, that leads away from the nearest one round a corner of the cover: 1 left, −1 right, 0 none.
+    aside: [i8; K],
     /// Metric of the nearest velocity.
     metric: Metric<4, T>,
 }
@@ -195,21 +195,21 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
 
     fn solved<'a, const R: usize>(
         &self,
-        taxels: impl Iterator<Item = ((&'a [T; 3], &'a [T; 2]), &'a T)>,
+        taxels: impl Iterator<Item = ((&'a [T; 3], &'a i8), &'a T)>,
         wanted: &[T; 3],
         bounds: Option<&[[T; 3]; 2]>,
         [low, high]: [&[T; 3]; 2],
     ) -> [T; 3] {
         let mut rows = [Row::bound(0, low[0], high[0]); R];
-        let mut aside = [[T::zero(); 2]; R];
+        let mut aside = [0; R];
         let mut count = 3;
         for j in 1..3 {
             rows[j] = Row::bound(j, low[j], high[j]);
         }
-        for (([x, y, lever], along), most) in taxels {
+        for (([x, y, lever], side), most) in taxels {
             let Some((row, aside)) = rows.get_mut(count).zip(aside.get_mut(count)) else { break };
             *row = Row::at_least([*x, *y, *lever, T::zero()], -*most).softened(3);
-            *aside = *along;
+            *aside = *side;
             count += 1;
         }
         let [x, y, yaw] = *wanted;
@@ -320,18 +320,19 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
 /// each misses room, and within `bounds`, unless more was wanted.
 fn given_aside<T: Scalar>(
     rows: &[Row<4, T>],
-    aside: &[[T; 2]],
+    aside: &[i8],
     nearest: &Solution<4, T>,
     wanted: [T; 2],
     bounds: Option<&[[T; 3]; 2]>,
 ) -> (usize, [T; 2]) {
     let (mut exceeded, mut given) = (0, wanted);
-    for (row, [x, y]) in rows.iter().zip(aside).skip(3) {
+    for (row, side) in rows.iter().zip(aside).skip(3) {
         let missing = excess(row, nearest);
         if missing > of(SOFTNESS) {
             exceeded += 1;
-            given[0] += *x * missing;
-            given[1] += *y * missing;
+            let ([x, y, ..], side) = (row.normal, of::<T>(f64::from(*side)));
+            given[0] -= side * y * missing;
+            given[1] += side * x * missing;
         }
     }
     if let Some([least, most]) = bounds {
@@ -356,15 +357,14 @@ fn excess<T: Scalar>(row: &Row<4, T>, nearest: &Solution<4, T>) -> T {
     row.lower - (to_x * x + to_y * y + lever * yaw)
 }
 
-/// Returns the unit vector along taxel `i` away from the nearest one round a corner, axes of B; 0 where no body reaches both.
-fn from_corner<T: Scalar>(i: usize, columns: &[[T; 3]], taxels: &[TaxelPlacement]) -> [T; 2] {
-    let Some(([x, y, _], here)) = columns.get(i).zip(taxels.get(i)) else { return [T::zero(); 2] };
-    let (mut nearest, mut aside) = (BODY_M * BODY_M, [T::zero(); 2]);
+/// Returns the side of taxel `i` that leads away from the nearest one round a corner: 1 left, −1 right, 0 where no body reaches both.
+fn from_corner<T: Scalar>(i: usize, columns: &[[T; 3]], taxels: &[TaxelPlacement]) -> i8 {
+    let Some(([x, y, _], here)) = columns.get(i).zip(taxels.get(i)) else { return 0 };
+    let (mut nearest, mut aside) = (BODY_M * BODY_M, 0);
     for ([to_x, to_y, _], there) in columns.iter().zip(taxels) {
         let apart = squared(&here.position_base_m, &there.position_base_m);
         if (*x * *to_x + *y * *to_y).abs() < of(SAME_SIDE) && apart <= nearest {
-            let side = (*x * *to_y - *y * *to_x).signum();
-            (nearest, aside) = (apart, [-side * *y, side * *x]);
+            (nearest, aside) = (apart, if *x * *to_y > *y * *to_x { 1 } else { -1 });
         }
     }
     aside
@@ -533,7 +533,7 @@ mod tests {
         };
         let narrow: CoverOutline<11, f64> =
             CoverOutline::new(&[at(0.3, 0.1, -0.5), at(0.3, -0.1, 0.5), at(0.6, 0.3, 1.0)]).unwrap();
-        assert_eq!(narrow.aside, [[0.0; 2]; 11]);
+        assert_eq!(narrow.aside, [0; 11]);
         // who gets the room that is needed gets no more
         let lever_m = outline().outward(10, &[0.0, 0.0, 1.0]);
         let [x, _, _] = step(&[(10, -0.003 + 0.006 * lever_m)], [0.0; 3], None);
