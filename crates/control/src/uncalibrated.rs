@@ -12,7 +12,8 @@ use crate::config::{BarrierReadings, Config};
 use crate::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
 use moca_msgs::{ParameterError, RobotState, TaxelPlacement, TaxelStatus};
-use moca_wbc::contact_barrier::{BODY_M, RECOVERS_S, SAME_SIDE, SLOWEST_M_S};
+use moca_wbc::contact_barrier::{RECOVERS_S, SLOWEST_M_S};
+use moca_wbc::cover_map::{BODY_M, SAME_SIDE};
 use moca_wbc::guard::CoverOutline;
 use serde::{Deserialize, Serialize};
 

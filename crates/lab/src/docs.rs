@@ -384,7 +384,7 @@ mod tests {
                 ("most 1.9 N", "barrier | × 2 |"),
                 ("of the bound 3.1 % of 32 cells", "barrier | as described | walks | 0.95 |"),
                 ("at most 27.1 N", "barrier | as described | walks | 0.95 |"),
-                ("with 41 N at most", "barrier-alone | a later contact"),
+                ("with 38 N at most", "barrier-alone | a later contact"),
             ],
         ),
         (

@@ -13,6 +13,17 @@
 use crate::scalar::{Scalar, of};
 use moca_msgs::{ParameterError, TaxelPlacement};
 
+/// Largest distance of two taxels that may feel one body, m: half a trunk.
+pub const BODY_M: f64 = 0.3;
+/// Least cosine of the angle between two taxels of one side of the cover.
+pub const SAME_SIDE: f64 = 0.7;
+
+/// Distance of two places, m, squared.
+pub(crate) fn squared<T: Scalar>(a: &[T; 2], b: &[T; 2]) -> T {
+    let [x, y] = [a[0] - b[0], a[1] - b[1]];
+    x * x + y * y
+}
+
 /// Cover wrench \[f_x N, f_y N, m_z N·m\] in B about its origin: the force **on** the robot, so that a push moves the
 /// base away from it. `force_n` is in compression, ≥ 0. eq. (4)
 pub fn cover_wrench<const K: usize, T: Scalar>(taxels: &[TaxelPlacement; K], force_n: &[T; K]) -> [T; 3] {

@@ -13,8 +13,7 @@
 //! # Ok::<(), moca_wbc::ParameterError>(())
 //! ```
 
-use crate::contact_barrier::{BODY_M, SAME_SIDE, squared};
-use crate::cover_map::CoverMap;
+use crate::cover_map::{BODY_M, CoverMap, SAME_SIDE, squared};
 use crate::error::{ControlError, finite};
 use crate::scalar::{Scalar, of};
 use moca_msgs::{ParameterError, TaxelPlacement};

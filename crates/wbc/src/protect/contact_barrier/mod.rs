@@ -30,6 +30,7 @@
 //!
 //! [`BaseGuard`]: crate::BaseGuard
 
+use crate::cover_map::{BODY_M, SAME_SIDE, squared};
 use crate::error::{ControlError, finite};
 use crate::guard::CoverOutline;
 use crate::reach::ArmReach;
@@ -57,12 +58,8 @@ pub const RETREAT_M_S: f64 = 0.3;
 const REMEMBER_S: f64 = 3.0;
 /// Shortest time in which an error of the depth is taken back, s.
 const RESPONSE_S: f64 = 0.08;
-/// Taxels that are no further apart may feel one body, m: half a trunk;
-pub const BODY_M: f64 = 0.3;
-/// and so may neighbours of a coarser cover, whose taxels have their nearest one at most this much closer.
+/// Neighbours of a coarse cover, further apart than [`BODY_M`], may feel one body if their nearest one is at most this much closer.
 const UNEVEN: f64 = 1.2;
-/// Cosine of the angle between two taxels of one side of the cover: at least this.
-pub const SAME_SIDE: f64 = 0.7;
 /// Way that a touched taxel goes back once its readings cannot be believed any more, m,
 pub const BLIND_RETREAT_M: f64 = 0.03;
 /// and when it stops trying, s after the last of them: something is behind it.
@@ -678,12 +675,6 @@ fn span_squared(taxels: &[TaxelPlacement]) -> f64 {
     };
     let coarsest = (0..taxels.len()).map(nearest).filter(|d| d.is_finite()).fold(0.0, f64::max);
     (BODY_M * BODY_M).max(UNEVEN * UNEVEN * coarsest)
-}
-
-/// Distance of two places, m, squared.
-pub(crate) fn squared<T: Scalar>(a: &[T; 2], b: &[T; 2]) -> T {
-    let [x, y] = [a[0] - b[0], a[1] - b[1]];
-    x * x + y * y
 }
 
 fn within(
