@@ -295,6 +295,7 @@ impl Table for Meetings {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::closed_loop::Flight;
     use crate::meeting::Alarm;
 
     /// A walker whom this law gives less room than it could.
@@ -313,6 +314,31 @@ mod tests {
         assert!(later_n > at_once_n + 1.0, "{at_once_n} {later_n} N");
         // by then the law itself has made room
         assert!((never_n - one.peak_n).abs() < 1e-9, "{never_n} {} N", one.peak_n);
+    }
+
+    /// A walker beyond the bound: all axes at their utmost, each either way or not at all, as fast as the base may be.
+    #[test]
+    fn no_direction_of_flight_leaves_less_than_any_law() {
+        let drawn = Drawn::of(1, 1677);
+        let (settings, _) = drawn.settings().unwrap();
+        let one = Outcome::of(drawn.meeting, &drawn.meeting_there(&settings), &settings, WATCHED_S).unwrap();
+        let alarm = one.alarm.unwrap();
+        let least_n = drawn.meeting.least_of_any_law_n(&settings, &alarm).unwrap();
+        assert!(least_n > 25.0, "{least_n} N");
+        let limits = &settings.config.limits;
+        let mut best_n = f64::INFINITY;
+        for direction in (0..27_u8).filter(|direction| *direction != 13) {
+            let flight = Flight {
+                row: alarm.row,
+                wrench_base: [1, 3, 9].map(|place| f64::from(direction / place % 3) - 1.0),
+                turns: true,
+                acceleration: limits.base_acceleration,
+                fastest: limits.base_velocity,
+                retreat_m_s: f64::INFINITY,
+            };
+            best_n = best_n.min(drawn.meeting.fleeing_n(&settings, flight).unwrap());
+        }
+        assert!((best_n - least_n).abs() < 0.02, "{best_n} {least_n} N");
     }
 
     #[test]

@@ -84,23 +84,27 @@ impl Meeting {
     /// As [`Outcome::of`].
     pub fn least_of_any_law_n(self, settings: &Settings, alarm: &Alarm) -> Result<f64> {
         let limits = &settings.config.limits;
-        let row = alarm.row;
         let mut least_n = f64::INFINITY;
         for turns in [true, false] {
             let flight = Flight {
-                row,
+                row: alarm.row,
                 wrench_base: alarm.wrench_base,
                 turns,
                 acceleration: limits.base_acceleration,
                 fastest: limits.base_velocity,
                 retreat_m_s: RETREAT_M_S,
             };
-            let (rig, _) = self.watched(settings, Some(flight), ESCAPES_S)?;
-            let released = rig.rows[row..].iter().position(|row| row.total_force_n <= 0.0);
-            let until = released.map_or(rig.rows.len(), |rows| row + rows);
-            least_n = least_n.min(peak_force_n(&rig.rows[..until]));
+            least_n = least_n.min(self.fleeing_n(settings, flight)?);
         }
         Ok(least_n)
+    }
+
+    /// Largest force before the base that flees is let go of, N.
+    pub(crate) fn fleeing_n(self, settings: &Settings, flight: Flight) -> Result<f64> {
+        let row = flight.row;
+        let (rig, _) = self.watched(settings, Some(flight), ESCAPES_S)?;
+        let released = rig.rows[row..].iter().position(|row| row.total_force_n <= 0.0);
+        Ok(peak_force_n(&rig.rows[..released.map_or(rig.rows.len(), |rows| row + rows)]))
     }
 
     /// Returns the force of a hand that leads the robot from `row` on: it takes hold, pushes as hard as eq. (2) needs for the speed
