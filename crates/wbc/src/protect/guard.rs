@@ -540,6 +540,18 @@ mod tests {
         // as fast as room is missing
         let [x, _, _] = step(&[(10, -0.004 + 0.006 * lever_m)], [0.0; 3], None);
         assert!((x + 0.001).abs() < 1e-5, "{x}");
+        let lever_m = outline().outward(6, &[0.0, 0.0, 1.0]);
+        let [_, y, _] = step(&[(6, -0.004 - 0.006 * lever_m)], [0.0; 3], None);
+        assert!((y - 0.001).abs() < 1e-5, "{y}");
+        // a cover that is turned on its base has the same corners
+        let turned = PAPER_COVER.map(|taxel| {
+            let ([x, y], (sin, cos)) = (taxel.position_base_m, 0.4_f64.sin_cos());
+            let inward_angle_base_rad = taxel.inward_angle_base_rad + 0.4;
+            TaxelPlacement { position_base_m: [cos * x - sin * y, sin * x + cos * y], inward_angle_base_rad }
+        });
+        let turned: CoverOutline<11, f64> = CoverOutline::new(&turned).unwrap();
+        assert_eq!(turned.aside, outline().aside);
+        assert_eq!(turned.aside, [0, 0, 0, -1, 1, 0, -1, 0, 0, 0, 1]);
         // somebody else stands there
         let kept = step(&[(6, -0.2), (1, 0.001)], [0.0; 3], None);
         assert!((outline().outward(1, &kept) - 0.001).abs() < 2e-5 && kept[0] <= -0.003, "{kept:?}");
