@@ -174,20 +174,20 @@ impl Barrier {
         }
     }
 
-    /// Computes the bounds of the contacts for this tick; the base brakes within `limit` (m/s², m/s², rad/s²) and its own
-    /// ability. `holds_place`: the flange stays where it is in the world.
+    /// Computes the bounds of the contacts for this tick, the base going at `velocity_body` (m/s, m/s, rad/s); it brakes within `limit`
+    /// (m/s², m/s², rad/s²) and its own ability. `holds_place`: the flange stays where it is in the world.
     ///
     /// # Errors
     /// A number that is not finite.
     pub fn update(
         &mut self,
-        robot: &RobotState<JOINTS>,
+        velocity_body: [f64; 3],
         limit: [f64; 3],
         holds_place: bool,
         dt_s: f64,
     ) -> Result<ContactLimits<TAXELS>, ControlError> {
         let deceleration = std::array::from_fn(|i| limit[i].min(self.deceleration[i]));
-        let mut input = BarrierInput::new(self.samples, velocity_body(robot), deceleration, dt_s);
+        let mut input = BarrierInput::new(self.samples, velocity_body, deceleration, dt_s);
         input.light = self.light;
         input.tool_base_m = self.flange_body_m.filter(|_| holds_place);
         let mut limits = self.contacts.update(&input)?;
@@ -251,13 +251,12 @@ impl Barrier {
 
 /// From axes of W to those of B.
 pub(super) fn to_body([x, y]: [f64; 2], robot: &RobotState<JOINTS>) -> [f64; 2] {
-    let (sin, cos) = robot.base_pose_world[2].sin_cos();
-    [cos * x + sin * y, cos * y - sin * x]
+    turned_back(robot.base_pose_world[2].sin_cos(), [x, y])
 }
 
-/// Measured velocity of the base in axes of B, m/s, m/s, rad/s.
-pub(super) fn velocity_body(robot: &RobotState<JOINTS>) -> [f64; 3] {
-    BaseMotion::of(robot).velocity_body
+/// From axes of W to those of a base whose yaw has this sine and cosine.
+const fn turned_back((sin, cos): (f64, f64), [x, y]: [f64; 2]) -> [f64; 2] {
+    [cos * x + sin * y, cos * y - sin * x]
 }
 
 /// Measured motion of the base, once a tick for all who ask: a sine is not cheap.
@@ -272,9 +271,10 @@ pub(super) struct BaseMotion {
 impl BaseMotion {
     /// Takes it from a state.
     pub(super) fn of(robot: &RobotState<JOINTS>) -> Self {
-        let (sin, cos) = robot.base_pose_world[2].sin_cos();
-        let [vx, vy, yaw_rate] = robot.base_velocity_world;
-        Self { turn: (sin, cos), velocity_body: [cos * vx + sin * vy, cos * vy - sin * vx, yaw_rate] }
+        let turn = robot.base_pose_world[2].sin_cos();
+        let [vx_world, vy_world, yaw_rate] = robot.base_velocity_world;
+        let [vx, vy] = turned_back(turn, [vx_world, vy_world]);
+        Self { turn, velocity_body: [vx, vy, yaw_rate] }
     }
 }
 
@@ -396,6 +396,7 @@ pub fn travel_m(config: &Config, sharing: u8) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use moca_tactile::cover::EarlyContact;
 
     #[test]
     fn barrier_default_is_on_for_calibrated_cover() {
@@ -448,7 +449,7 @@ mod tests {
                 restored.restore(&barrier.state(), gone.as_ref());
                 assert_eq!(restored.doubtful_way(), gone);
             }
-            let limits = barrier.update(&RobotState::at_rest([0.0; JOINTS]), [3.0; 3], false, 1e-3).unwrap();
+            let limits = barrier.update([0.0; 3], [3.0; 3], false, 1e-3).unwrap();
             // as far back as the base is let, within its acceleration
             let wanted_m_s = limits.outward_m_s[FRONT].clamp(-0.3, 0.0);
             order_m_s = wanted_m_s.clamp(order_m_s - 3e-3, order_m_s + 3e-3);
@@ -465,28 +466,33 @@ mod tests {
         assert!(first_m > 0.9 && both_m < 1.02, "{first_m} {both_m}");
     }
 
+    const LIMIT_M_S: f64 = 0.02;
+
+    /// Speeds outward that are left after three frames of a base that stands.
+    fn left_m_s(order_delay_ms: f64, early: EarlyContact<TAXELS>) -> [f64; TAXELS] {
+        let mut config = Config::default();
+        config.set("protection.contact_barrier", &"pu-ld30".into()).unwrap();
+        config.protection.order_delay_ms = order_delay_ms;
+        let mut barrier = Barrier::new::<7>(&config, None).unwrap().unwrap();
+        let mut cover = CoverState::NONE;
+        cover.poll.early = early;
+        let mut left = [0.0; TAXELS];
+        for ms in 1..=30_u64 {
+            cover.poll.reading.sampled_at_ns = Some((ms - 1) / 10 * 10_000_000);
+            barrier.take_cover(1_000_000 * ms, &cover, LIMIT_M_S);
+            left = barrier.update([0.0; 3], [3.0; 3], false, 1e-3).unwrap().outward_m_s;
+        }
+        left
+    }
+
     #[test]
     fn late_base_makes_room_from_the_first_alarm_on() {
         const FRONT: usize = 5;
-        const LIMIT_M_S: f64 = 0.02;
-        // of a taxel in front that is touched lightly: the speed outward that it is left
+        // of a taxel in front that is touched lightly
         let left_m_s = |order_delay_ms: f64, light_n: f64, is_light: bool, certain: bool| {
-            let mut config = Config::default();
-            config.set("protection.contact_barrier", &"pu-ld30".into()).unwrap();
-            config.protection.order_delay_ms = order_delay_ms;
-            let mut barrier = Barrier::new::<7>(&config, None).unwrap().unwrap();
-            let mut cover = CoverState::NONE;
-            (cover.poll.early.light[FRONT], cover.poll.early.light_n[FRONT]) = (is_light, light_n);
-            cover.poll.early.certain[FRONT] = certain;
-            let mut left = 0.0;
-            for ms in 1..=30_u64 {
-                cover.poll.reading.sampled_at_ns = Some((ms - 1) / 10 * 10_000_000);
-                barrier.take_cover(1_000_000 * ms, &cover, LIMIT_M_S);
-                let limits =
-                    barrier.update(&RobotState::at_rest([0.0; JOINTS]), [3.0; 3], false, 1e-3).unwrap();
-                left = limits.outward_m_s[FRONT];
-            }
-            left
+            let mut early = EarlyContact::NONE;
+            (early.light[FRONT], early.light_n[FRONT], early.certain[FRONT]) = (is_light, light_n, certain);
+            left_m_s(order_delay_ms, early)[FRONT]
         };
         assert!(left_m_s(0.0, 3.0, true, true) >= 0.0, "a base that obeys at once waits for a reading");
         let room_m_s = left_m_s(100.0, 3.0, true, false);
@@ -503,26 +509,14 @@ mod tests {
     /// T6 and T7 are beside each other in front, T11 round the corner.
     #[test]
     fn alarm_beside_half_of_one_shows_one_body() {
-        const LIMIT_M_S: f64 = 0.02;
         // speeds outward that T6 and another one are left: T6 alarms, and what the other one shows
         let left_m_s = |order_delay_ms: f64, other: usize, is_halfway: bool, is_light: bool| {
-            let mut config = Config::default();
-            config.set("protection.contact_barrier", &"pu-ld30".into()).unwrap();
-            config.protection.order_delay_ms = order_delay_ms;
-            let mut barrier = Barrier::new::<7>(&config, None).unwrap().unwrap();
-            let mut cover = CoverState::NONE;
-            cover.poll.early.light[5] = true;
-            (cover.poll.early.light[other], cover.poll.early.halfway[other]) = (is_light, is_halfway);
-            (cover.poll.early.light_n[5], cover.poll.early.light_n[other]) = (3.0, 3.0);
-            let mut left = [0.0; 2];
-            for ms in 1..=30_u64 {
-                cover.poll.reading.sampled_at_ns = Some((ms - 1) / 10 * 10_000_000);
-                barrier.take_cover(1_000_000 * ms, &cover, LIMIT_M_S);
-                let limits =
-                    barrier.update(&RobotState::at_rest([0.0; JOINTS]), [3.0; 3], false, 1e-3).unwrap();
-                left = [5, other].map(|i| limits.outward_m_s[i]);
-            }
-            left
+            let mut early = EarlyContact::NONE;
+            early.light[5] = true;
+            (early.light[other], early.halfway[other]) = (is_light, is_halfway);
+            (early.light_n[5], early.light_n[other]) = (3.0, 3.0);
+            let left_m_s = left_m_s(order_delay_ms, early);
+            [left_m_s[5], left_m_s[other]]
         };
         let [doubted_m_s, other_m_s] = left_m_s(100.0, 6, false, false);
         assert!(other_m_s >= 0.0, "nothing there: {other_m_s}");

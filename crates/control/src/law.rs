@@ -443,7 +443,7 @@ impl Motion {
         let contacts;
         if let Some(barrier) = &mut self.barrier {
             contacts = barrier
-                .update(robot, deceleration, law == ControlLaw::Impedance, dt_s)
+                .update(self.base.velocity_body, deceleration, law == ControlLaw::Impedance, dt_s)
                 .map_err(|_| Fault::ControlRefused)?;
             if law != ControlLaw::Hold {
                 taxel_force_n = &contacts.force_n;
@@ -455,11 +455,12 @@ impl Motion {
             // who is pressed when a taxel fails is given room even in a stop
             if law != ControlLaw::Hold || contacts.backs_off {
                 guard.outward_m_s = Some(contacts.outward_m_s);
+                guard.one_body = contacts.one_body;
             }
         }
         if let Some(cap) = &mut self.push_cap {
             let led = self.targets.leads() || self.twisted;
-            cap.advance(robot, deceleration, led, dt_s, &mut guard.blocked);
+            cap.advance(self.base.velocity_body, deceleration, led, dt_s, &mut guard.blocked);
         }
         let felt_n;
         if let Some(recovery) = &mut self.recovery {

@@ -150,11 +150,12 @@ impl Protection {
         let limit = self.speed_limit(now_ns, cover, limits);
         let Protected { guard, speed_limit, reaction, events } = &mut *protected;
         (*speed_limit, *reaction) = (limit, None);
-        let BaseGuard { speed_m_s, blocked, outward_m_s, bounds_body, room_body, instead_body } = guard;
+        let BaseGuard { speed_m_s, blocked, outward_m_s, one_body, bounds_body, room_body, instead_body } =
+            guard;
         *speed_m_s = Some(limit.m_s);
         // Data that is not confirmed yet only keeps the base from driving into whoever it feels; no law uses it.
         *blocked = cover.poll.early.touched;
-        (*outward_m_s, *bounds_body, *room_body, *instead_body) = (None, None, None, None);
+        (*outward_m_s, *one_body, *bounds_body, *room_body, *instead_body) = (None, false, None, None, None);
         self.state.tracker.take(events);
         match self.state.tracker.crossed().filter(|_| moving) {
             Some(crossed) => self.react(&crossed, dt_s, protected),
@@ -664,7 +665,7 @@ mod tests {
                 base_velocity_world: velocity_world,
                 ..RobotState::at_rest([0.0; JOINTS])
             };
-            let speed_m_s = protection.cover_speed_m_s(&barrier::velocity_body(&robot));
+            let speed_m_s = protection.cover_speed_m_s(&barrier::BaseMotion::of(&robot).velocity_body);
             assert!((speed_m_s - expected).abs() < 1e-9, "{velocity_world:?}: {speed_m_s}");
         }
     }

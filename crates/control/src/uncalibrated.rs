@@ -10,8 +10,8 @@
 use crate::barrier;
 use crate::config::{BarrierReadings, Config};
 use crate::cover::CoverState;
-use crate::robot::{JOINTS, TAXELS};
-use moca_msgs::{ParameterError, RobotState, TaxelPlacement, TaxelStatus};
+use crate::robot::TAXELS;
+use moca_msgs::{ParameterError, TaxelPlacement, TaxelStatus};
 use moca_wbc::contact_barrier::{RECOVERS_S, SLOWEST_M_S};
 use moca_wbc::cover_map::{BODY_M, SAME_SIDE};
 use moca_wbc::guard::CoverOutline;
@@ -100,11 +100,11 @@ impl PushCap {
         }
     }
 
-    /// Moves on by `dt_s` with the measured motion of the base, and blocks every taxel that could not stop any later, for a base that
-    /// brakes within `limit` (m/s², m/s², rad/s²) and its own ability. `led`: a program moves the flange.
+    /// Moves on by `dt_s` with the base's measured velocity, axes of B, m/s, m/s, rad/s, and blocks every taxel that could not stop any
+    /// later, for a base that brakes within `limit` (m/s², m/s², rad/s²) and its own ability. `led`: a program moves the flange.
     pub fn advance(
         &mut self,
-        robot: &RobotState<JOINTS>,
+        velocity_body: [f64; 3],
         limit: [f64; 3],
         led: bool,
         dt_s: f64,
@@ -116,7 +116,6 @@ impl PushCap {
             *way_body = [0.0; 3];
             return;
         }
-        let velocity_body = barrier::velocity_body(robot);
         for (way, speed) in way_body.iter_mut().zip(velocity_body) {
             *way += speed * dt_s;
         }
@@ -160,6 +159,9 @@ fn around_corners(taxels: &[TaxelPlacement]) -> Vec<[bool; TAXELS]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::barrier::BaseMotion;
+    use crate::robot::JOINTS;
+    use moca_msgs::RobotState;
 
     const DT_S: f64 = 1e-3;
     /// In front.
@@ -188,7 +190,7 @@ mod tests {
         let mut blocked = [false; TAXELS];
         for _ in 0..steps {
             blocked = [false; TAXELS];
-            cap.advance(robot, [3.0; 3], false, DT_S, &mut blocked);
+            cap.advance(BaseMotion::of(robot).velocity_body, [3.0; 3], false, DT_S, &mut blocked);
         }
         blocked
     }
@@ -274,7 +276,7 @@ mod tests {
                 cap.feel(&touched(taxel));
                 for _ in 0..2100 {
                     blocked = NONE;
-                    cap.advance(&forward(0.01, 0.0), [3.0; 3], led, DT_S, &mut blocked);
+                    cap.advance([0.01, 0.0, 0.0], [3.0; 3], led, DT_S, &mut blocked);
                 }
                 assert!(blocked[taxel], "the base stands before it");
                 assert_eq!(blocked[4], led && taxel == 3, "T5, T{} touched", taxel + 1);

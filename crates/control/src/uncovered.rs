@@ -195,7 +195,7 @@ fn corners(sides: &[bool; 4]) -> bool {
 #[expect(clippy::float_cmp, reason = "what is free and what is used up are exact")]
 mod tests {
     use super::*;
-    use crate::barrier;
+    use crate::barrier::BaseMotion;
     use crate::robot::{CoverTable, JOINTS};
     use moca_msgs::RobotState;
 
@@ -228,7 +228,7 @@ mod tests {
         while t_s < seconds {
             let bounds = uncovered.bounds_body(BRAKES).unwrap_or([[-FREE; 3], [FREE; 3]]);
             let allowed = std::array::from_fn(|i| velocity[i].clamp(bounds[0][i], bounds[1][i]));
-            uncovered.advance(barrier::velocity_body(&moving(0.7, allowed)), DT_S);
+            uncovered.advance(BaseMotion::of(&moving(0.7, allowed)).velocity_body, DT_S);
             uncovered.remember(allowed != velocity);
             t_s += DT_S;
         }
@@ -298,7 +298,7 @@ mod tests {
             uncovered.remember(held);
             let mut t_s = 0.0;
             while t_s < seconds {
-                uncovered.advance(barrier::velocity_body(&moving(0.7, velocity)), DT_S);
+                uncovered.advance(BaseMotion::of(&moving(0.7, velocity)).velocity_body, DT_S);
                 t_s += DT_S;
             }
             uncovered.way_m()

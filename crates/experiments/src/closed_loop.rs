@@ -27,14 +27,6 @@ pub struct Loads {
 }
 
 impl Loads {
-    /// Returns true if `other` has the same numbers.
-    #[expect(clippy::float_cmp, reason = "what has not changed to the bit has not changed")]
-    fn are(&self, other: &Self) -> bool {
-        // no early return: several at once
-        let same = |a: &[f64], b: &[f64]| a.iter().zip(b).fold(true, |same, (a, b)| same & (a == b));
-        same(&self.taxel_n, &other.taxel_n) & same(&self.flange_world, &other.flange_world)
-    }
-
     /// Returns the loads, `factor` times as strong.
     pub fn scaled(&self, factor: f64) -> Self {
         Self {
@@ -333,7 +325,7 @@ impl Rig {
 
     /// One tick, and the mode after it.
     fn tick(&mut self, loads: &Loads) -> Result<Mode> {
-        if !self.loads.are(loads) {
+        if *loads != self.loads {
             self.push(loads)?;
         }
         if let Some(flight) = self.flight.filter(|flight| flight.row <= self.rows.len())

@@ -298,16 +298,22 @@ mod tests {
     use crate::closed_loop::Flight;
     use crate::meeting::Alarm;
 
-    /// A walker whom this law gives less room than it could.
-    #[test]
-    fn any_law_leaves_more_the_later_its_alarm() {
-        let drawn = Drawn::of(1, 8750);
+    /// A meeting, and its first alarm.
+    fn alarmed(seed: u64, id: usize) -> (Meeting, Settings, Outcome, Alarm) {
+        let drawn = Drawn::of(seed, id);
         let (settings, _) = drawn.settings().unwrap();
         let one = Outcome::of(drawn.meeting, &drawn.meeting_there(&settings), &settings, WATCHED_S).unwrap();
         let alarm = one.alarm.unwrap();
+        (drawn.meeting, settings, one, alarm)
+    }
+
+    /// A walker whom this law gives less room than it could.
+    #[test]
+    fn any_law_leaves_more_the_later_its_alarm() {
+        let (meeting, settings, one, alarm) = alarmed(1, 9972);
         let least_n = |later: usize| {
             let alarm = Alarm { row: alarm.row + later, ..alarm };
-            drawn.meeting.least_of_any_law_n(&settings, &alarm).unwrap()
+            meeting.least_of_any_law_n(&settings, &alarm).unwrap()
         };
         let [at_once_n, later_n, never_n] = [0, 60, 2000].map(least_n);
         assert!(at_once_n < one.peak_n - 1.0, "{at_once_n} {} N", one.peak_n);
@@ -319,11 +325,8 @@ mod tests {
     /// A walker beyond the bound: all axes at their utmost, each either way or not at all, as fast as the base may be.
     #[test]
     fn no_direction_of_flight_leaves_less_than_any_law() {
-        let drawn = Drawn::of(1, 1677);
-        let (settings, _) = drawn.settings().unwrap();
-        let one = Outcome::of(drawn.meeting, &drawn.meeting_there(&settings), &settings, WATCHED_S).unwrap();
-        let alarm = one.alarm.unwrap();
-        let least_n = drawn.meeting.least_of_any_law_n(&settings, &alarm).unwrap();
+        let (meeting, settings, _, alarm) = alarmed(1, 1677);
+        let least_n = meeting.least_of_any_law_n(&settings, &alarm).unwrap();
         assert!(least_n > 25.0, "{least_n} N");
         let limits = &settings.config.limits;
         let mut best_n = f64::INFINITY;
@@ -336,9 +339,24 @@ mod tests {
                 fastest: limits.base_velocity,
                 retreat_m_s: f64::INFINITY,
             };
-            best_n = best_n.min(drawn.meeting.fleeing_n(&settings, flight).unwrap());
+            best_n = best_n.min(meeting.fleeing_n(&settings, flight).unwrap());
         }
         assert!((best_n - least_n).abs() < 0.02, "{best_n} {least_n} N");
+    }
+
+    /// A walker who presses T6 beside its middle, with a moment about the base that no taxel shows.
+    #[test]
+    fn who_knew_the_place_on_a_plate_would_leave_less_than_any_law() {
+        let (meeting, settings, one, alarm) = alarmed(4242, 1034);
+        let least_n = |alarm: &Alarm| meeting.least_of_any_law_n(&settings, alarm).unwrap();
+        let [x_n, y_n, turn_nm] = alarm.wrench_base;
+        assert!(turn_nm.abs() < 1e-9 && alarm.row > 0, "{turn_nm} N·m");
+        let beside_m = settings.person.offset_m;
+        let known_n = least_n(&Alarm { wrench_base: [x_n, y_n, -beside_m * x_n], ..alarm });
+        assert!(beside_m < -0.06 && (one.peak_n - least_n(&alarm)).abs() < 1e-3, "{beside_m} m");
+        let said = include_str!("../../../docs/results.md");
+        let words = format!("{:.1} N to who would be left {known_n:.1} N", one.peak_n);
+        assert!(said.contains(&words), "{words}");
     }
 
     #[test]

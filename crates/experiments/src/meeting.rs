@@ -9,6 +9,7 @@ use crate::settings::Settings;
 use anyhow::Result;
 use moca_control::config::ProtectionConfig;
 use moca_wbc::contact_barrier::{RETREAT_M_S, STOP_SHARE};
+use moca_wbc::cover_map::CoverMap;
 
 /// Usual time for which a contact is watched, s.
 pub const WATCHED_S: f64 = 3.0;
@@ -77,7 +78,7 @@ impl Meeting {
     }
 
     /// Force on the person by a law that knew at once what comes, N, a measure of the least and no proof of it: the same meeting again,
-    /// but from the first alarm on the base goes away along the wrench of the touch as fast as its orders may change, with and
+    /// but from the first alarm on the base goes away along the wrench of its taxels' forces as fast as its orders may change, with and
     /// without turning, up to the fastest retreat of the contact barrier. Orders are as late as they were.
     ///
     /// # Errors
@@ -129,7 +130,8 @@ fn push(settings: &Settings, row: &Row) -> Loads {
 pub struct Alarm {
     /// Its row.
     pub row: usize,
-    /// Wrench of the touch on the robot by then, axes and origin of B: N, N, N·m.
+    /// Wrench of the taxels' true forces by then, each at its taxel's place, axes and origin of B: N, N, N·m. Where on a plate somebody
+    /// presses no taxel shows.
     pub wrench_base: [f64; 3],
 }
 
@@ -188,6 +190,7 @@ impl Outcome {
         let most = contact.iter().max_by(|a, b| a.largest_force_n.total_cmp(&b.largest_force_n));
         let felt = contact.iter().find(|row| (0..TAXELS).any(|i| row.force_sensed[i] > 0.0));
         let alarm_row = alarm_row(rows, first);
+        let cover = CoverMap::<TAXELS, f64>::new(&settings.config.robot.cover.placements())?;
         let closing_m_s = approach_m_s(&rows[first.saturating_sub(1)], settings);
         let felt_after_s = felt.map_or(f64::NAN, since);
         let [first_peak_n, later_n] = first_and_later(&measures.peaks_n);
@@ -200,7 +203,7 @@ impl Outcome {
             peak_after_s: most.map_or(0.0, since),
             felt_after_s,
             noticed_after_s: alarm_row.map_or(f64::NAN, |row| since(&rows[row])),
-            alarm: alarm_row.map(|row| Alarm { row, wrench_base: rows[row].wrench_true }),
+            alarm: alarm_row.map(|row| Alarm { row, wrench_base: cover.wrench(&rows[row].force_true) }),
             least_n: there.least_n(closing_m_s, felt_after_s),
             taps: measures.peaks_n.len(),
             grows: grows(first_peak_n, later_n),

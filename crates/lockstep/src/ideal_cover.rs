@@ -79,7 +79,9 @@ impl CoverSource for IdealCover {
         let at_ns = self.shown.as_ref().map_or(now_ns, |mean| mean.at_ns);
         felt.poll.reading.sampled_at_ns = Some(at_ns);
         felt.poll.early.sampled_at_ns = Some(at_ns);
-        if let Some(mean) = self.shown.as_ref().filter(|_| std::mem::take(&mut self.is_new)) {
+        if std::mem::take(&mut self.is_new)
+            && let Some(mean) = &self.shown
+        {
             for (taxel, &force_n) in felt.poll.reading.taxels.iter_mut().zip(&mean.force_n) {
                 taxel.force_n = force_n;
             }

@@ -223,47 +223,45 @@ impl Outline {
         Shares(pressed)
     }
 
-    /// Shares of the `count` plates of one side that are nearest to a place, each pressed alike, and how many there are: no more
-    /// than the side has, and one where it has none.
-    pub(crate) fn plates(&self, nearest: &Nearest, count: u8) -> (Shares, f64) {
-        let mut shares = Shares([0.0; K]);
+    /// Middles of the `count` plates of one side that are nearest to a place, axes of B, m, T1 first; none of the others, and fewer where
+    /// the side has fewer.
+    pub(crate) fn plates(&self, nearest: &Nearest, count: u8) -> [Option<[f64; 2]>; K] {
+        let mut middles = [None; K];
         let edge = self.edges.iter().rfind(|edge| edge.strip <= nearest.strip);
-        let Some(edge) = edge else { return (shares, 1.0) };
+        let Some(edge) = edge else { return middles };
         let at_m = dot(edge.along, difference(nearest.point_base, edge.start_base));
-        let mut start_m = 0.0;
-        let (mut plates, mut found) = ([(f64::INFINITY, 0); K], 0);
-        for strip in self.strips[edge.strip..].iter().take_while(|s| s.curvature_per_m <= 0.0) {
-            let away_m = (start_m - at_m).max(at_m - start_m - strip.length_m).max(0.0);
-            start_m += strip.length_m;
-            if let (Some(taxel), Some(plate)) = (strip.taxel, plates.get_mut(found)) {
-                (*plate, found) = ((away_m, taxel), found + 1);
+        let away_m = |[start_m, end_m]: [f64; 2]| (start_m - at_m).max(at_m - end_m).max(0.0);
+        for _ in 0..count {
+            let left = self.spans(edge).filter(|(taxel, _)| middles[*taxel].is_none());
+            if let Some((taxel, span_m)) = left.min_by(|(_, a), (_, b)| away_m(*a).total_cmp(&away_m(*b))) {
+                middles[taxel] = Some(self.on_side(edge, 0.5 * (span_m[0] + span_m[1])));
             }
         }
-        let plates = &mut plates[..found];
-        plates.sort_unstable_by(|(a, _), (b, _)| a.total_cmp(b));
-        let plates = &plates[..found.min(usize::from(count))];
-        #[expect(clippy::cast_precision_loss, reason = "three at most")]
-        let pressed = plates.len().max(1) as f64;
-        for (_, taxel) in plates {
-            shares.0[*taxel] = 1.0 / pressed;
-        }
-        (shares, pressed)
+        middles
+    }
+
+    /// Taxels of a side, each with where its part begins and ends along it, m.
+    fn spans(&self, edge: &Edge) -> impl Iterator<Item = (usize, [f64; 2])> {
+        let mut start_m = 0.0;
+        let straight = self.strips[edge.strip..].iter().take_while(|strip| strip.curvature_per_m <= 0.0);
+        straight.filter_map(move |strip| {
+            let span_m = [start_m, start_m + strip.length_m];
+            start_m = span_m[1];
+            strip.taxel.map(|taxel| (taxel, span_m))
+        })
+    }
+
+    /// A place of the outline on a side, in B, m.
+    fn on_side(&self, edge: &Edge, along_m: f64) -> [f64; 2] {
+        let [x, y] = edge.at(along_m);
+        [x + self.radius_m * edge.outward[0], y + self.radius_m * edge.outward[1]]
     }
 
     /// Ends of what `taxel` answers for on its side, in B, m: where a plane meets it first.
     pub(crate) fn ends(&self, taxel: usize) -> Option<[[f64; 2]; 2]> {
         self.edges.iter().find_map(|edge| {
-            let mut start_m = 0.0;
-            for strip in self.strips[edge.strip..].iter().take_while(|s| s.curvature_per_m <= 0.0) {
-                if strip.taxel == Some(taxel) {
-                    return Some([start_m, start_m + strip.length_m].map(|along_m| {
-                        let [x, y] = edge.at(along_m);
-                        [x + self.radius_m * edge.outward[0], y + self.radius_m * edge.outward[1]]
-                    }));
-                }
-                start_m += strip.length_m;
-            }
-            None
+            let (_, span_m) = self.spans(edge).find(|(of, _)| *of == taxel)?;
+            Some(span_m.map(|along_m| self.on_side(edge, along_m)))
         })
     }
 }

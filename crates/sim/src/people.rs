@@ -1,9 +1,9 @@
 //! People and walls in the running scene: where they are, what they do, and what they and the cover do to each other.
 
-use crate::contact::{ContactForce, ContactState, Pressing};
+use crate::contact::{ContactForce, ContactState, Pressing, Tissue};
 use crate::foam::Foam;
 use crate::mechanics::Mechanics;
-use crate::outline::Outline;
+use crate::outline::{Nearest, Outline};
 use crate::scene::{Mobility, Person, Scene, Shape};
 use moca_msgs::{MAX_TAXELS, TaxelPlacement};
 
@@ -188,8 +188,8 @@ struct Meeting {
     outward_base: [f64; 2],
     /// Velocity of the body in W, m/s.
     velocity_world: [f64; 2],
-    /// Plates that are pressed at once, each by all of the depth.
-    plates: f64,
+    /// Part of the body's flesh that lies on it.
+    part: f64,
 }
 
 impl Meeting {
@@ -320,33 +320,31 @@ impl Body {
         let velocity_world = self.velocity(time_s, qvel);
         match self.person.shape {
             Shape::Cylinder { radius_m }
-                if cover.outline.is_further_than(radius_m + cover.step.reach_m(), place_base) =>
+                if self.person.plates < 2
+                    && cover.outline.is_further_than(radius_m + cover.step.reach_m(), place_base) =>
             {
                 self.contacts[0].leave(cover.foam, cover.step.dt_s);
             }
             Shape::Cylinder { radius_m } => {
                 let nearest = cover.outline.nearest(place_base);
-                let rigid =
-                    (self.person.plates > 1).then(|| cover.outline.plates(&nearest, self.person.plates));
+                let plates = self.person.plates;
+                let plates = if plates > 1 { cover.outline.plates(&nearest, plates) } else { [None; K] };
+                if plates.iter().any(Option::is_some) {
+                    self.press_flat(cover, (&nearest, &plates), radius_m, velocity_world, time_s, felt);
+                    return;
+                }
                 let meeting = Meeting {
                     contact: 0,
                     overlap_m: radius_m - nearest.distance_m,
                     point_base: nearest.point_base,
                     outward_base: nearest.outward,
                     velocity_world,
-                    plates: rigid.as_ref().map_or(1.0, |(_, plates)| *plates),
+                    part: 1.0,
                 };
                 let force_n = self.meet(cover, &meeting, time_s, felt);
                 let overlap_m = meeting.overlap_at_end_m(cover);
                 if force_n > 0.0 && overlap_m > 0.0 {
-                    let soft;
-                    let shares = match &rigid {
-                        Some((shares, _)) => shares,
-                        None => {
-                            soft = cover.outline.shares(&nearest, overlap_m, radius_m);
-                            &soft
-                        }
-                    };
+                    let shares = cover.outline.shares(&nearest, overlap_m, radius_m);
                     let taxels_n = felt.taxel_force_n[..cover.taxels.len()].iter_mut();
                     for (taxel_n, share) in taxels_n.zip(&shares.0) {
                         *taxel_n += share * force_n;
@@ -366,6 +364,42 @@ impl Body {
                 felt.on_body(all_n);
             }
         }
+    }
+
+    /// Contact of a flat body with `plates`: it does not turn with the base, which presses one deeper than the other when it does.
+    fn press_flat(
+        &mut self,
+        cover: &CoverInstant<'_>,
+        (nearest, plates): (&Nearest, &[Option<[f64; 2]>; K]),
+        radius_m: f64,
+        velocity_world: [f64; 2],
+        time_s: f64,
+        felt: &mut Felt,
+    ) {
+        let [fx, fy] = cover.to_base(self.person.towards_robot_world);
+        let [x, y] = nearest.point_base;
+        #[expect(clippy::cast_precision_loss, reason = "three at most")]
+        let part = 1.0 / plates.iter().flatten().count() as f64;
+        let mut all_n = 0.0;
+        for (taxel, plate) in plates.iter().enumerate().take(cover.taxels.len()) {
+            let Some(point_base) = *plate else {
+                self.contacts[taxel].leave(cover.foam, cover.step.dt_s);
+                continue;
+            };
+            let tilted_m = (point_base[0] - x) * fx + (point_base[1] - y) * fy;
+            let meeting = Meeting {
+                contact: taxel,
+                overlap_m: radius_m - nearest.distance_m - tilted_m,
+                point_base,
+                outward_base: nearest.outward,
+                velocity_world,
+                part,
+            };
+            let force_n = self.meet(cover, &meeting, time_s, felt);
+            felt.taxel_force_n[taxel] += force_n;
+            all_n += force_n;
+        }
+        felt.on_body(all_n);
     }
 
     /// The end of a taxel that is deepest in a plane, if the taxel faces it.
@@ -391,7 +425,7 @@ impl Body {
             point_base,
             outward_base,
             velocity_world,
-            plates: 1.0,
+            part: 1.0,
         })
     }
 
@@ -401,15 +435,18 @@ impl Body {
         let [vx, vy] = cover.to_base(meeting.velocity_world);
         let [cover_vx, cover_vy] = cover.velocity_base(meeting.point_base);
         let Step { dt_s, from_the_middle } = cover.step;
-        let side_by_side = (meeting.plates > 1.0).then(|| cover.foam.stiffened(meeting.plates));
+        let tissue = self.person.tissue;
         let pressing = Pressing {
-            foam: side_by_side.as_ref().unwrap_or(cover.foam),
-            tissue: self.person.tissue,
+            foam: cover.foam,
+            tissue: Tissue {
+                stiffness_n_per_m: meeting.part * tissue.stiffness_n_per_m,
+                damping_n_s_per_m: meeting.part * tissue.damping_n_s_per_m,
+            },
             friction: self.person.friction,
             overlap_m,
             sliding_m_s: (vy - cover_vy) * nx - (vx - cover_vx) * ny,
             dt_s,
-            yield_m_per_n: self.person.mobility.yield_m_per_n(dt_s),
+            yield_m_per_n: self.person.mobility.yield_m_per_n(dt_s) / meeting.part,
         };
         let closing_m_s = meeting.closing_m_s(cover);
         let (mean, end) = if from_the_middle {

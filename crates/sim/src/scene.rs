@@ -151,8 +151,8 @@ pub struct Person {
     pub starts_after_s: f64,
     /// Speed of the posture's anchor towards the robot, m/s: 0 stands, more walks.
     pub walk_m_s: f64,
-    /// Plates that a cylinder presses at once, each by all of its depth: a flat body on rigid plates side by side. One is a body
-    /// that the plates share, 1 to 3.
+    /// Plates that a cylinder presses at once, each by all of its depth there: a flat body on rigid plates side by side, which does not turn
+    /// with the base. One is a body that the plates share, 1 to 3.
     pub plates: u8,
     /// Weight leant towards the robot until the step away, N; nothing for a fixed body.
     pub lean_n: f64,

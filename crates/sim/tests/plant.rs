@@ -491,13 +491,16 @@ fn an_fr3_in_the_scene_agrees_with_pinocchio() {
     assert!(compared >= 1, "no case without a payload");
 }
 
-/// Force on a rigid body that is held 3 mm deep before T6, and what T5, T6 and T7 feel of it, N.
-fn pressed_by(plates: u8, offset_m: f64) -> (f64, [f64; 3]) {
-    let hard = Tissue { stiffness_n_per_m: 1e9, damping_n_s_per_m: 0.0 };
+const RIGID_N_M: f64 = 1e9;
+
+/// Force on a body that is held so deep before T6, the base turned by `yaw_rad`, and what T5, T6 and T7 feel of it, N.
+fn pressed_by(plates: u8, flesh_n_m: f64, [offset_m, depth_m]: [f64; 2], yaw_rad: f64) -> (f64, [f64; 3]) {
+    let flesh = Tissue { stiffness_n_per_m: flesh_n_m, damping_n_s_per_m: 0.0 };
     let shape = Shape::Cylinder { radius_m: 0.05 };
-    let person = Person::before(&PAPER_COVER, 5, -0.003, offset_m, shape, hard, Mobility::Fixed).unwrap();
+    let person = Person::before(&PAPER_COVER, 5, -depth_m, offset_m, shape, flesh, Mobility::Fixed).unwrap();
     let people = vec![Person { plates, friction: 0.0, ..person }];
     let mut plant = SimPlant::new(&Scene { people, foam: Foam::COLLISION_ASSUMED, ..paper_scene() }).unwrap();
+    plant.set_state(&[0.0, 0.0, yaw_rad], &STILL, &[], &[]);
     plant.step().unwrap();
     let felt = plant.taxel_force_true_n();
     (plant.contact_largest_true_n(), [felt[4], felt[5], felt[6]])
@@ -505,18 +508,38 @@ fn pressed_by(plates: u8, offset_m: f64) -> (f64, [f64; 3]) {
 
 #[test]
 fn flat_body_presses_each_plate_by_all_of_its_depth() {
-    let (one_n, _) = pressed_by(1, 0.0);
+    let (one_n, _) = pressed_by(1, RIGID_N_M, [0.0, 0.003], 0.0);
     for (plates, offset_m, pressed) in [
         (1, 0.0, [0.0, 1.0, 0.0]),
         (2, 0.01, [1.0, 1.0, 0.0]),
         (2, -0.01, [0.0, 1.0, 1.0]),
         (3, 0.0, [1.0; 3]),
     ] {
-        let (all_n, felt_n) = pressed_by(plates, offset_m);
+        let (all_n, felt_n) = pressed_by(plates, RIGID_N_M, [offset_m, 0.003], 0.0);
         let expected_n = one_n * f64::from(plates);
         assert!((all_n / expected_n - 1.0).abs() < 1e-3, "{plates} plates: {all_n} N, not {expected_n} N");
         for (felt_n, pressed) in felt_n.iter().zip(pressed) {
             assert!((felt_n - pressed * one_n).abs() < 1e-3 * one_n, "{plates} at {offset_m} m: {felt_n} N");
         }
     }
+    // all its flesh yields to the sum of their forces
+    let (all_n, _) = pressed_by(3, 5e3, [0.0, 0.02], 0.0);
+    let (alone_n, _) = pressed_by(1, RIGID_N_M, [0.0, 0.02 - all_n / 5e3], 0.0);
+    assert!((all_n / alone_n / 3.0 - 1.0).abs() < 1e-3, "{all_n} N, not three times {alone_n} N");
+}
+
+/// T5 and T7 are 0.2586 m left and right of T6.
+#[test]
+fn flat_body_does_not_turn_with_the_base() {
+    let yaw_rad = 0.004;
+    let (all_n, felt_n) = pressed_by(3, RIGID_N_M, [0.0, 0.003], yaw_rad);
+    let expected_n = [-0.2586, 0.0, 0.2586]
+        .map(|right_m| pressed_by(1, RIGID_N_M, [0.0, 0.003 + right_m * yaw_rad], 0.0).0);
+    assert!((felt_n.iter().sum::<f64>() - all_n).abs() < 1e-9);
+    for (felt_n, expected_n) in felt_n.into_iter().zip(expected_n) {
+        assert!((felt_n / expected_n - 1.0).abs() < 0.02, "{felt_n} N, not {expected_n} N");
+    }
+    // one that is turned away from is let go of
+    let (_, [left_n, _, right_n]) = pressed_by(3, RIGID_N_M, [0.0, 0.003], 0.02);
+    assert!(left_n <= 0.0 && right_n > felt_n[2], "{left_n} {right_n} N");
 }

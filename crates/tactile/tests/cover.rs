@@ -4,7 +4,7 @@
 
 use moca_msgs::{BoardFault, Fault, TaxelStatus};
 use moca_tactile::board::{BoardEvent, CloseReason, OpenFailure};
-use moca_tactile::cover::{COMMON_MODE_FRAMES, MaskPolicy};
+use moca_tactile::cover::{COMMON_MODE_FRAMES, EarlyContact, MaskPolicy};
 use moca_tactile::datastream::{Frame, emit};
 use moca_tactile::health::{ABOVE_ZERO_FRAMES, DEAD_FRAMES, STUCK_FRAMES};
 use moca_tactile::zero::{DRIFT_BUDGET, ExpectedRest, TARE_FRAMES};
@@ -72,6 +72,13 @@ impl Bench {
         for _ in 0..count {
             self.frame();
         }
+    }
+
+    /// Early touches of a frame with `drop` counts on T6.
+    fn early(&mut self, drop: f64) -> EarlyContact<11> {
+        self.drop[5] = drop;
+        self.frame();
+        self.cover.poll(self.now_ns).early
     }
 
     fn tare(&mut self) {
@@ -178,9 +185,7 @@ fn a_light_touch_is_found_beside_a_firm_one() {
 fn light_touch_becomes_certain_after_its_alarm_until_it_ends() {
     let mut bench = Bench::tared();
     let mut felt = |drop| {
-        bench.drop[5] = drop;
-        bench.frame();
-        let early = bench.cover.poll(bench.now_ns).early;
+        let early = bench.early(drop);
         (early.light[5], early.certain[5])
     };
     let touched: Vec<_> = (0..40).map(|_| felt(1.7)).collect();
@@ -198,9 +203,7 @@ fn light_touch_becomes_certain_after_its_alarm_until_it_ends() {
 fn light_touch_is_halfway_before_its_alarm_and_shows_its_force() {
     let mut bench = Bench::tared();
     let mut felt = |drop| {
-        bench.drop[5] = drop;
-        bench.frame();
-        let early = bench.cover.poll(bench.now_ns).early;
+        let early = bench.early(drop);
         assert!(!(early.halfway[5] && early.light[5]), "one or the other");
         assert!(!early.halfway[4], "nobody touches that one");
         (early.light[5], early.halfway[5], early.light_n[5])

@@ -28,9 +28,16 @@ const NEARNESS: [f64; 4] = [1.0, 1.0, 0.5, 1e4];
 const SOFTNESS: f64 = 1e-4;
 /// Share by which the excess of the worst taxel may grow when the others are looked at: rounding.
 const ROUNDING: f64 = 1e-6;
-/// Bounds of the axes, and as many touched taxels as are looked at; and as few as it nearly always is.
-const MOST_ROWS: usize = 3 + 32;
-const FEW_ROWS: usize = 3 + 3;
+/// Most bodies that are told apart by the sides that they press.
+const BODIES: usize = 4;
+/// Most touched taxels that are looked at; and as few as it nearly always is.
+const MOST: usize = 32;
+const FEW: usize = 3;
+/// Slowest demand for room, m/s: a late base no longer waits for a walker who is remembered at this speed or less, and a plate that asks
+/// for less counts less among those of one body.
+pub(crate) const FORGOTTEN_M_S: f64 = 0.003;
+/// Faster than any base, m/s.
+const FREE: f64 = 10.0;
 
 /// Bounds on the base in addition to its [`moca_msgs::Limits`]. Velocities in the axes of B.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -42,6 +49,9 @@ pub struct BaseGuard<const K: usize, T = f64> {
     /// Largest speed of each taxel outward, m/s: +∞ for none, below 0 where it has to give way. As
     /// [`crate::contact_barrier`] says it. Where the base cannot keep all of them, it exceeds the worst by the least.
     pub outward_m_s: Option<[T; K]>,
+    /// Taxels of one side that have to give way are pressed by one body, which receives the sum of their forces: where the base cannot
+    /// keep all of them, it exceeds their mean by the least, and then the worst of them.
+    pub one_body: bool,
     /// Least and largest velocity along each axis of B, m/s, m/s, rad/s; standing still is between them. For motions
     /// that no taxel would feel the end of.
     pub bounds_body: Option<[[T; 3]; 2]>,
@@ -58,10 +68,16 @@ impl<const K: usize, T: Scalar> BaseGuard<K, T> {
         speed_m_s: None,
         blocked: [false; K],
         outward_m_s: None,
+        one_body: false,
         bounds_body: None,
         room_body: None,
         instead_body: None,
     };
+
+    /// Returns the part of it that gives people room: for a base that is to stand.
+    pub(crate) fn room(&self) -> Self {
+        Self { outward_m_s: self.outward_m_s, one_body: self.one_body, ..Self::NONE }
+    }
 
     /// Returns true if a velocity is within the bounds along the axes.
     fn bounds_permit(&self, velocity: &[T; 3]) -> bool {
@@ -173,22 +189,25 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
     /// at their seam, turning may help but one, and so helps the body.
     ///
     /// A body at the end of a plate may also press the one round the corner, which shows it later. Who gets too little room is
-    /// therefore also given room along the plate, where that takes none from anybody, as far as the law on its own may go (`bounds`).
+    /// therefore also given room along the plate, where that takes none from anybody, as far as the law on its own may go.
+    ///
+    /// It reads of `guard` the bounds along the axes and if one body presses several plates.
     pub(crate) fn nearest(
         &self,
         most: &[T; K],
         wanted: &[T; 3],
-        bounds: Option<&[[T; 3]; 2]>,
+        guard: &BaseGuard<K, T>,
         [low, high]: [&[T; 3]; 2],
     ) -> [T; 3] {
         let rows = || {
             let taxels = self.map.columns().iter().zip(&self.aside).zip(most);
             taxels.filter(|(_, most)| most.is_finite())
         };
-        if rows().count() + 3 <= FEW_ROWS {
-            self.solved::<FEW_ROWS>(rows(), wanted, bounds, [low, high])
+        // with bounds of the axes
+        if rows().count() <= FEW {
+            self.solved::<{ 3 + FEW + BODIES }>(rows(), wanted, guard, [low, high])
         } else {
-            self.solved::<MOST_ROWS>(rows(), wanted, bounds, [low, high])
+            self.solved::<{ 3 + MOST + BODIES }>(rows(), wanted, guard, [low, high])
         }
     }
 
@@ -196,7 +215,7 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
         &self,
         taxels: impl Iterator<Item = ((&'a [T; 3], &'a i8), &'a T)>,
         wanted: &[T; 3],
-        bounds: Option<&[[T; 3]; 2]>,
+        guard: &BaseGuard<K, T>,
         [low, high]: [&[T; 3]; 2],
     ) -> [T; 3] {
         let mut rows = [Row::bound(0, low[0], high[0]); R];
@@ -206,29 +225,96 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
             rows[j] = Row::bound(j, low[j], high[j]);
         }
         for (([x, y, lever], side), most) in taxels {
-            let Some((row, aside)) = rows.get_mut(count).zip(aside.get_mut(count)) else { break };
-            *row = Row::at_least([*x, *y, *lever, T::zero()], -*most).softened(3);
-            *aside = *side;
+            if count + BODIES == R {
+                break;
+            }
+            rows[count] = Row::at_least([*x, *y, *lever, T::zero()], -*most).softened(3);
+            aside[count] = *side;
             count += 1;
         }
         let [x, y, yaw] = *wanted;
-        let rows = rows.get_mut(..count).unwrap_or_default();
         let nearest = |rows: &[Row<4, T>], to: &[T; 4]| self.metric.nearest(to, rows, &WorkingSet::EMPTY);
-        let mut solution = nearest(rows, &[x, y, yaw, T::zero()]);
+        let mut solution = nearest(&rows[..count], &[x, y, yaw, T::zero()]);
         if let Ok(first) = &solution {
-            let (exceeded, [to_x, to_y]) = given_aside(rows, &aside, first, [x, y], bounds);
-            if (exceeded > 1 || [to_x, to_y] != [x, y])
-                && let Some(worst) = worst(first).and_then(|row| rows.get_mut(row))
+            let (exceeded, [to_x, to_y]) =
+                given_aside(&rows[..count], &aside, first, [x, y], guard.bounds_body.as_ref());
+            let given = [to_x, to_y, yaw, T::zero()];
+            if guard.one_body
+                && exceeded > 0
+                && let Some(of_bodies) = self.nearest_of_bodies(&rows, count, first, &given)
             {
-                worst.normal[3] = T::zero();
-                worst.lower -= first.x[3] * of(1.0 + ROUNDING);
-                solution = nearest(rows, &[to_x, to_y, yaw, T::zero()]).or(solution);
+                solution = Ok(of_bodies);
+            } else if (exceeded > 1 || [to_x, to_y] != [x, y])
+                && let Some(worst) = worst(&rows[..count], first)
+            {
+                harden(&mut rows[worst], first.x[3]);
+                solution = nearest(&rows[..count], &given).or(solution);
             }
         }
         // soft rows between bounds always have a nearest point; should rounding ever hide it, the base brakes
         let [x, y, yaw, _] = solution.map_or([T::zero(); 4], |solution| solution.x);
         let inside = |v: T, j: usize| v.clamp(low[j], high[j]);
         [inside(x, 0), inside(y, 1), inside(yaw, 2)]
+    }
+
+    /// The velocity nearest to `given` among those that exceed the worst body's row by the least, then the other bodies', then the worst
+    /// plate's: what presses plates of one side is one body. `rows` has `count` rows, the first three of them those of the axes, and
+    /// `first` is the nearest to all of them alone.
+    ///
+    /// The body receives the sum of the forces, so its row is the mean of its plates'. None of them goes outward for it, unless it does in
+    /// `first`, nor faster: the body may have let go of that one. A plate that asks for no room is not part of it, and one that asks for
+    /// little has a small part: the result depends continuously on the rows.
+    #[inline(never)]
+    fn nearest_of_bodies<const R: usize>(
+        &self,
+        rows: &[Row<4, T>; R],
+        count: usize,
+        first: &Solution<4, T>,
+        given: &[T; 4],
+    ) -> Option<Solution<4, T>> {
+        let mut of_a_body = [false; R];
+        let (mut bodies, mut plates, mut end) = (*rows, *rows, count);
+        for one in 3..count {
+            if end == R {
+                break;
+            }
+            let [to_x, to_y, ..] = rows[one].normal;
+            let (mut normal, mut lower, mut weight) = ([T::zero(); 4], T::zero(), T::zero());
+            for i in one..count {
+                let ([x, y, lever, _], asked) = (rows[i].normal, rows[i].lower);
+                if of_a_body[i] || x * to_x + y * to_y <= of(SAME_SIDE) {
+                    continue;
+                }
+                of_a_body[i] = true;
+                let share = (asked / of(FORGOTTEN_M_S)).clamp(T::zero(), T::one());
+                for (sum, part) in normal.iter_mut().zip([x, y, lever]) {
+                    *sum += share * part;
+                }
+                lower += share * asked;
+                weight += share;
+                let outward = (asked - excess(&rows[i], first)).min(T::zero());
+                bodies[i].lower -= share * (asked - outward);
+                bodies[i].normal[3] -= share;
+            }
+            if weight > T::zero() {
+                let mean = Row::at_least(normal.map(|sum| sum / weight), lower / weight);
+                let lower = mean.lower - (T::one() - weight).max(T::zero()) * of(FREE);
+                plates[end] = Row { lower, ..mean };
+                bodies[end] = plates[end].softened(3);
+                end += 1;
+            }
+        }
+        let nearest = |rows: &[Row<4, T>]| self.metric.nearest(given, rows, &WorkingSet::EMPTY).ok();
+        let mut reached = nearest(&bodies[..end])?;
+        if let Some(worst) = worst(&bodies[..end], &reached) {
+            harden(&mut bodies[worst], reached.x[3]);
+            reached = nearest(&bodies[..end]).unwrap_or(reached);
+        }
+        for body in &mut plates[count..end] {
+            let missing = excess(body, &reached).max(T::zero());
+            harden(body, missing);
+        }
+        nearest(&plates[..end]).or(Some(reached))
     }
 
     /// Translation at `speed` away from all of `touched` together; none where they leave no way out.
@@ -342,12 +428,18 @@ fn given_aside<T: Scalar>(
     (exceeded, given)
 }
 
-/// Returns the row, after those of the axes, that holds a nearest velocity back the most.
-fn worst<T: Scalar>(nearest: &Solution<4, T>) -> Option<usize> {
-    let of_taxels = nearest.active().iter().filter(|active| active.row >= 3);
+/// Returns the row, of those that share the slack in full, that holds a nearest velocity back the most.
+fn worst<T: Scalar>(rows: &[Row<4, T>], nearest: &Solution<4, T>) -> Option<usize> {
+    let soft = nearest.active().iter().filter(|active| rows[active.row].normal[3] >= T::one());
     let worst =
-        of_taxels.reduce(|worst, active| if active.multiplier > worst.multiplier { active } else { worst });
+        soft.reduce(|worst, active| if active.multiplier > worst.multiplier { active } else { worst });
     worst.map(|worst| worst.row)
+}
+
+/// Makes a row one that may be exceeded by `excess_m_s` and no more.
+fn harden<T: Scalar>(row: &mut Row<4, T>, excess_m_s: T) {
+    row.normal[3] = T::zero();
+    row.lower -= excess_m_s * of(1.0 + ROUNDING);
 }
 
 /// Speed outward by which a taxel's row is exceeded, m/s.
@@ -455,7 +547,7 @@ mod tests {
         let nearest = |most: &[(usize, f64)], wanted: [f64; 3]| {
             let mut outward_m_s = [f64::INFINITY; 11];
             most.iter().for_each(|(taxel, speed)| outward_m_s[*taxel] = *speed);
-            outline().nearest(&outward_m_s, &wanted, None, [&[-1.0; 3], &[1.0; 3]])
+            outline().nearest(&outward_m_s, &wanted, &BaseGuard::NONE, [&[-1.0; 3], &[1.0; 3]])
         };
         // a soft bound gives by a ten-thousandth of what it takes away
         let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-4);
@@ -473,40 +565,87 @@ mod tests {
     }
 
     /// Nearest motion in one step from rest, the taxels going outward no faster than this.
-    fn step(most: &[(usize, f64)], wanted: [f64; 3], bounds: Option<[[f64; 3]; 2]>) -> [f64; 3] {
+    fn step(most: &[(usize, f64)], wanted: [f64; 3], bounds_body: Option<[[f64; 3]; 2]>) -> [f64; 3] {
+        step_within(&BaseGuard { bounds_body, ..BaseGuard::NONE }, most, wanted)
+    }
+
+    fn step_within(guard: &BaseGuard<11>, most: &[(usize, f64)], wanted: [f64; 3]) -> [f64; 3] {
         let mut outward_m_s = [f64::INFINITY; 11];
         most.iter().for_each(|(taxel, speed)| outward_m_s[*taxel] = *speed);
         let limits = [&[-0.003, -0.003, -0.006], &[0.003, 0.003, 0.006]];
-        outline().nearest(&outward_m_s, &wanted, bounds.as_ref(), limits)
+        outline().nearest(&outward_m_s, &wanted, guard, limits)
     }
 
     /// T6 is in the middle of the front, where turning does nothing, T5 left and T7 right of it.
     #[test]
     fn nearest_motion_helps_each_that_gets_too_little_room() {
-        let near = |[x, _, yaw]: [f64; 3], [to_x, to_yaw]: [f64; 2]| {
-            (x - to_x).abs() < 1e-5 && (yaw - to_yaw).abs() < 1e-5
-        };
+        let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-5);
         let lever_m = outline().outward(6, &[0.0, 0.0, 1.0]);
         for (most, expected) in [
             // a body at their seam: T6 cannot get more than 3 mm/s, T7 gets more by turning
-            (&[(5, -0.2), (6, -0.2)][..], [-0.003, -0.006]),
-            (&[(5, -0.2), (4, -0.2)], [-0.003, 0.006]),
+            (&[(5, -0.2), (6, -0.2)][..], [-0.003, 0.003, -0.006]),
+            (&[(5, -0.2), (4, -0.2)], [-0.003, -0.003, 0.006]),
             // no more than it asks for
-            (&[(5, -0.2), (6, -0.003 - 0.002 * lever_m)], [-0.003, -0.002]),
+            (&[(5, -0.2), (6, -0.003 - 0.002 * lever_m)], [-0.003, 0.002 * lever_m, -0.002]),
             // what turning gives one it takes from the other
-            (&[(4, -0.2), (5, -0.2), (6, -0.2)], [-0.003, 0.0]),
+            (&[(4, -0.2), (5, -0.2), (6, -0.2)], [-0.003, 0.0, 0.0]),
             // the worst gets all that it can, although turning would be better for T5
-            (&[(6, -0.3), (4, -0.2)], [-0.003, -0.006]),
+            (&[(6, -0.3), (4, -0.2)], [-0.003, 0.003, -0.006]),
             // alone
-            (&[(6, -0.2)], [-0.003, -0.006]),
-            (&[(5, -0.2)], [-0.003, 0.0]),
+            (&[(6, -0.2)], [-0.003, 0.003, -0.006]),
+            (&[(5, -0.2)], [-0.003, 0.0, 0.0]),
         ] {
             let kept = step(most, [0.0; 3], None);
             assert!(near(kept, expected), "{most:?}: {kept:?}");
         }
         // a turn that is wanted ends where it takes room from the other
         let kept = step(&[(5, -0.2), (6, -0.003)], [0.0, 0.0, 0.006], None);
-        assert!(near(kept, [-0.003, 0.0]), "{kept:?}");
+        assert!(near(kept, [-0.003, 0.006 * lever_m, 0.0]), "{kept:?}");
+    }
+
+    /// T2 is behind the middle of its side, T3 and T4 are before it, T4 furthest.
+    #[test]
+    fn nearest_motion_gives_one_body_the_most_room_on_all_its_plates() {
+        let one_body = BaseGuard { one_body: true, ..BaseGuard::NONE };
+        let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-5);
+        let mean_m_s =
+            |kept: &[f64; 3]| [1, 2, 3].map(|taxel| outline().outward(taxel, kept)).iter().sum::<f64>() / 3.0;
+        // turning gives T3 and T4 more than it takes from T2
+        let pressed = [(1, -0.2), (2, -0.2), (3, -0.2)];
+        let alone = step(&pressed, [0.0; 3], None);
+        assert!(near(alone, [-0.003, -0.003, 0.0]), "{alone:?}");
+        let kept = step_within(&one_body, &pressed, [0.0; 3]);
+        assert!(near(kept, [-0.003, -0.003, -0.006]), "{kept:?}");
+        assert!(mean_m_s(&kept) < 1.1 * mean_m_s(&alone));
+        // no more than the mean needs, the rest is for the worst of them: T2, for which turning is no help
+        let limits = [&[-0.1; 3], &[0.1; 3]];
+        let mut most = [f64::INFINITY; 11];
+        (most[1], most[2], most[3]) = (-0.12, -0.1, -0.09);
+        let needed_m_s = mean_m_s(&outline().nearest(&most, &[0.0; 3], &one_body, limits));
+        assert!((needed_m_s + 0.31 / 3.0).abs() < 2e-5, "{needed_m_s}");
+        let alone_m_s = mean_m_s(&outline().nearest(&most, &[0.0; 3], &BaseGuard::NONE, limits));
+        assert!(alone_m_s > -0.099, "{alone_m_s}");
+        // none of them goes outward for it: the base that may not go away does not turn into T2
+        let mut most = [f64::INFINITY; 11];
+        (most[1], most[2], most[3]) = (-0.2, -0.2, -0.2);
+        let stuck = [&[-0.003, 0.0, -0.006], &[0.003, 0.0, 0.006]];
+        let kept = outline().nearest(&most, &[0.0; 3], &one_body, stuck);
+        assert!(kept[2].abs() < 1e-5, "{kept:?}");
+        // unless it does already
+        let braking = [&[-0.003, 0.0, -0.016], &[0.003, 0.0, -0.01]];
+        let kept = outline().nearest(&most, &[0.0; 3], &one_body, braking);
+        assert!((kept[2] + 0.01).abs() < 1e-5, "{kept:?}");
+        // a plate that hardly asks for room counts as little
+        let kept = step_within(&one_body, &[(1, -1e-5), (2, -0.2), (3, -0.2)], [0.0; 3]);
+        assert!(near(kept, [-0.003, -0.003, -0.006]), "{kept:?}");
+        // plates of two sides are pressed by two, and one plate by one
+        for most in [&[(5, -0.2), (1, -0.2)][..], &[(6, -0.2)], &[(6, -0.2), (5, 0.0)]] {
+            let (of_bodies, of_plates) = (step_within(&one_body, most, [0.0; 3]), step(most, [0.0; 3], None));
+            assert!(near(of_bodies, of_plates), "{most:?}: {of_bodies:?} {of_plates:?}");
+        }
+        // where all can be kept nothing changes
+        let within = [(1, -0.002), (2, -0.001)];
+        assert_eq!(step_within(&one_body, &within, [0.0; 3]), step(&within, [0.0; 3], None));
     }
 
     /// T4 and T5, and T7 and T11, are round a corner in front. T6 is in the middle there, T1 and T8 at the ends behind.
@@ -580,11 +719,12 @@ mod tests {
             for i in first..first + rows {
                 most[i % 11] = -0.3 * equal.unwrap_or_else(&mut uniform);
             }
+            let guard = BaseGuard { one_body: case % 2 == 0, ..BaseGuard::NONE };
             let low = [-0.003, -0.003, -0.006].map(|v| v * 10.0_f64.powf(2.0 * uniform()));
             let wanted = [0.1, 0.1, 0.2].map(|v| v * (uniform() - 0.5));
             let mut nearest = |off: f64| {
                 let most = most.map(|m| m + off * (uniform() - 0.5));
-                outline.nearest(&most, &wanted, None, [&low, &low.map(|v| -v)])
+                outline.nearest(&most, &wanted, &guard, [&low, &low.map(|v| -v)])
             };
             let (here, beside) = (nearest(0.0), nearest(1e-7));
             let change = here.iter().zip(beside).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);

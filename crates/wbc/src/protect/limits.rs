@@ -193,7 +193,7 @@ impl<T: Scalar> BaseLimits<T> {
             outline.guarded(guard, wanted)
         };
         let (low, high) = self.room(guard, last, dt_s);
-        outline.nearest(most, &plain, guard.bounds_body.as_ref(), [&low, &high])
+        outline.nearest(most, &plain, guard, [&low, &high])
     }
 
     /// Least and largest velocity of each axis in one step from `last` where somebody is given room.

@@ -163,7 +163,7 @@ impl<const K: usize, T: Scalar> BaseController<K, T> {
         state: &mut BaseState<T>,
         input: &BaseInput<K, T>,
     ) -> Result<BaseOutput<T>, ControlError> {
-        let room = BaseGuard { outward_m_s: input.guard.outward_m_s, ..BaseGuard::NONE };
+        let room = input.guard.room();
         self.run(state, input, &room, |_, state, _| {
             state.lead = None;
             [T::zero(); 3]

@@ -426,7 +426,7 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         let guard = if moves {
             guard
         } else {
-            room = BaseGuard { outward_m_s: guard.outward_m_s, ..BaseGuard::NONE };
+            room = guard.room();
             &room
         };
         let wanted_body = heading.to_base(wanted.base_velocity);

@@ -376,6 +376,8 @@ impl<const K: usize, T: Scalar> BarrierInput<K, T> {
 pub struct ContactLimits<const K: usize, T = f64> {
     /// Largest speed of each taxel outward, m/s: for [`crate::BaseGuard::outward_m_s`]. +∞ beyond the last taxel.
     pub outward_m_s: [T; K],
+    /// As [`BarrierSettings::shared_plates`]: for [`crate::BaseGuard::one_body`].
+    pub one_body: bool,
     /// Force now, N, never more than was felt: for the law, which so sees its own retreat at once.
     pub force_n: [T; K],
     /// Compression now, m; 0 where nothing touches.
@@ -490,6 +492,7 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
         });
         let mut limits = ContactLimits {
             outward_m_s: [of(f64::INFINITY); K],
+            one_body: self.settings.shared_plates,
             force_n: [T::zero(); K],
             depth_m: [T::zero(); K],
             person_m_s: [T::zero(); K],

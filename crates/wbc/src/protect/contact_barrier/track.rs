@@ -1,6 +1,7 @@
 //! One touched taxel from reading to reading, and where the base has been meanwhile.
 
 use super::{BLIND_RETREAT_M, BLIND_RETREAT_S, BarrierSettings, FoamCurve, TaxelSample};
+use crate::guard::FORGOTTEN_M_S;
 use crate::scalar::{Scalar, of};
 
 /// Steps of odometry that are kept: at 1 kHz 128 ms, older than any reading that a law is given.
@@ -19,9 +20,7 @@ const THERE_M: f64 = 0.2e-3;
 const AGAIN: f64 = 0.5;
 /// Speed below which a base stands, m/s: it meets nobody, who touches it has come.
 pub const SLOWEST_M_S: f64 = 0.005;
-/// A late base no longer waits for who came at this speed or less, as it is remembered, m/s,
-const FORGOTTEN_M_S: f64 = 0.003;
-/// but comes back slowly to who came to it within so long, s.
+/// A late base that no longer waits for who came to it comes back slowly to who did within so long, s.
 const FOLLOWED_S: f64 = 60.0;
 /// Readings of which an estimate of a speed rests on what was assumed.
 const ASSUMED: u8 = 2;
