@@ -183,6 +183,9 @@ mod tests {
     use moca_experiments::drawn::Meetings;
     use moca_experiments::parallel;
 
+    /// Meetings of a seed that the law was not shaped on.
+    const HELD_OUT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/data/protection-held-out.csv");
+
     /// Those of the documents' file, by its seed.
     const MEETINGS: Meetings = Meetings { runs: 200, seed: 1 };
 
@@ -215,14 +218,36 @@ mod tests {
     }
 
     #[test]
-    fn first_meetings_match_their_file() {
+    fn first_meetings_match_their_files() {
         if crate::docs::shown("protection-random").is_none() {
             return; // where sines are rounded in another way, last digits are others
         }
-        let text = std::fs::read_to_string(CAMPAIGN).unwrap();
-        for id in [0, 1, 2, 5] {
-            let fresh = MEETINGS.row(id).unwrap();
-            assert!(text.lines().any(|line| line == fresh), "{fresh}");
+        for (file, seed) in [(CAMPAIGN, MEETINGS.seed), (HELD_OUT, 31337)] {
+            let text = std::fs::read_to_string(file).unwrap();
+            for id in [0, 1, 2, 5] {
+                let fresh = Meetings { seed, ..MEETINGS }.row(id).unwrap();
+                assert!(text.lines().any(|line| line == fresh), "{file}: {fresh}");
+            }
         }
+    }
+
+    #[test]
+    fn held_out_walkers_receive_what_the_documents_say() {
+        let said = include_str!("../../../../../docs/results.md");
+        let said = said.split_whitespace().collect::<Vec<_>>().join(" ");
+        table::entries(&std::fs::read_to_string(HELD_OUT).unwrap(), |entries| {
+            let of = |class| entries.iter().filter(move |entry| Class::of(entry) == class && entry.met());
+            let most = |class| of(class).map(|entry| entry.number("peak_n")).fold(0.0, f64::max);
+            for words in [
+                format!("`--random {} --seed 31337`", entries.len()),
+                format!("Of its {} walkers within the bound", of(Class::Within).count()),
+                format!("{} receive more than 25 N", of(Class::Within).filter(|entry| entry.above()).count()),
+                format!("25 N, {:.1} N at most. Who stands", most(Class::Within)),
+                format!("Who stands receives {:.1} N at most.", most(Class::Driven)),
+            ] {
+                assert!(said.contains(&words), "{words}");
+            }
+        })
+        .unwrap();
     }
 }
