@@ -18,6 +18,11 @@ pub const BODY_M: f64 = 0.3;
 /// Least cosine of the angle between two taxels of one side of the cover.
 pub const SAME_SIDE: f64 = 0.7;
 
+/// Returns true if taxels with these unit directions inward are on one side of the cover.
+pub(crate) fn on_one_side<T: Scalar>([x, y]: [T; 2], [to_x, to_y]: [T; 2]) -> bool {
+    x * to_x + y * to_y > of(SAME_SIDE)
+}
+
 /// Distance of two places, m, squared.
 pub(crate) fn squared<T: Scalar>(a: &[T; 2], b: &[T; 2]) -> T {
     let [x, y] = [a[0] - b[0], a[1] - b[1]];

@@ -13,7 +13,7 @@
 //! # Ok::<(), moca_wbc::ParameterError>(())
 //! ```
 
-use crate::cover_map::{BODY_M, CoverMap, SAME_SIDE, squared};
+use crate::cover_map::{BODY_M, CoverMap, SAME_SIDE, on_one_side, squared};
 use crate::error::{ControlError, finite};
 use crate::scalar::{Scalar, of};
 use moca_msgs::{ParameterError, TaxelPlacement};
@@ -36,8 +36,6 @@ const FEW: usize = 3;
 /// Slowest demand for room, m/s: a late base no longer waits for a walker who is remembered at this speed or less, and a plate that asks
 /// for less counts less among those of one body.
 pub(crate) const FORGOTTEN_M_S: f64 = 0.003;
-/// Faster than any base, m/s.
-const FREE: f64 = 10.0;
 
 /// Bounds on the base in addition to its [`moca_msgs::Limits`]. Velocities in the axes of B.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -282,7 +280,7 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
             let (mut normal, mut lower, mut weight) = ([T::zero(); 4], T::zero(), T::zero());
             for i in one..count {
                 let ([x, y, lever, _], asked) = (rows[i].normal, rows[i].lower);
-                if of_a_body[i] || x * to_x + y * to_y <= of(SAME_SIDE) {
+                if of_a_body[i] || !on_one_side([x, y], [to_x, to_y]) {
                     continue;
                 }
                 of_a_body[i] = true;
@@ -298,9 +296,7 @@ impl<const K: usize, T: Scalar> CoverOutline<K, T> {
             }
             if weight > T::zero() {
                 let mean = Row::at_least(normal.map(|sum| sum / weight), lower / weight);
-                let lower = mean.lower - (T::one() - weight).max(T::zero()) * of(FREE);
-                plates[end] = Row { lower, ..mean };
-                bodies[end] = plates[end].softened(3);
+                (plates[end], bodies[end]) = (mean, mean.softened(3));
                 end += 1;
             }
         }
@@ -591,6 +587,7 @@ mod tests {
             (&[(4, -0.2), (5, -0.2), (6, -0.2)], [-0.003, 0.0, 0.0]),
             // the worst gets all that it can, although turning would be better for T5
             (&[(6, -0.3), (4, -0.2)], [-0.003, 0.003, -0.006]),
+            (&[(6, -0.2), (4, -0.3)], [-0.003, -0.003, 0.006]),
             // alone
             (&[(6, -0.2)], [-0.003, 0.003, -0.006]),
             (&[(5, -0.2)], [-0.003, 0.0, 0.0]),
@@ -601,6 +598,30 @@ mod tests {
         // a turn that is wanted ends where it takes room from the other
         let kept = step(&[(5, -0.2), (6, -0.003)], [0.0, 0.0, 0.006], None);
         assert!(near(kept, [-0.003, 0.006 * lever_m, 0.0]), "{kept:?}");
+    }
+
+    /// The paper's cover, turned on its base.
+    fn turned(angle_rad: f64) -> [TaxelPlacement; 11] {
+        PAPER_COVER.map(|taxel| {
+            let ([x, y], (sin, cos)) = (taxel.position_base_m, angle_rad.sin_cos());
+            let inward_angle_base_rad = taxel.inward_angle_base_rad + angle_rad;
+            TaxelPlacement { position_base_m: [cos * x - sin * y, sin * x + cos * y], inward_angle_base_rad }
+        })
+    }
+
+    #[test]
+    fn sides_are_told_apart_however_the_cover_is_turned() {
+        for angle_rad in [0.0, 0.4, 1.2, 2.5, 4.0, 5.5_f64] {
+            let inward = |from_rad: f64| {
+                let (y, x) = (angle_rad + from_rad).sin_cos();
+                [x, y]
+            };
+            for (apart_rad, expected) in
+                [(0.0, true), (0.79, true), (-0.79, true), (0.8, false), (-0.8, false), (3.14, false)]
+            {
+                assert_eq!(on_one_side(inward(0.0), inward(apart_rad)), expected, "{angle_rad} {apart_rad}");
+            }
+        }
     }
 
     /// T2 is behind the middle of its side, T3 and T4 are before it, T4 furthest.
@@ -643,6 +664,26 @@ mod tests {
             let (of_bodies, of_plates) = (step_within(&one_body, most, [0.0; 3]), step(most, [0.0; 3], None));
             assert!(near(of_bodies, of_plates), "{most:?}: {of_bodies:?} {of_plates:?}");
         }
+        // who asks for little on another side gets that, and the body on this one all
+        let mut most = [f64::INFINITY; 11];
+        (most[0], most[1], most[5]) = (-0.2, -0.2, -0.02);
+        let [x, y, yaw] = outline().nearest(&most, &[0.0; 3], &one_body, limits);
+        assert!((x + 0.02).abs() < 1e-4 && y <= -0.1 && yaw > 0.0999, "{x} {y} {yaw}");
+        // a cover that is turned on its base has the same sides
+        for angle_rad in [0.4, 1.2, 2.5, 4.0, 5.5] {
+            let outline: CoverOutline<11, f64> = CoverOutline::new(&turned(angle_rad)).unwrap();
+            let mut most = [f64::INFINITY; 11];
+            (most[1], most[2], most[3]) = (-0.2, -0.2, -0.2);
+            let kept = outline.nearest(&most, &[0.0; 3], &one_body, limits);
+            let mean_m_s =
+                |kept: &[f64; 3]| [1, 2, 3].map(|i| outline.outward(i, kept)).iter().sum::<f64>() / 3.0;
+            let axes = [[0.1, 0.0, 0.0], [0.0, 0.1, 0.0], [0.0, 0.0, 0.1]];
+            let best_m_s: f64 = axes.iter().map(|axis| mean_m_s(axis).abs()).sum();
+            assert!((mean_m_s(&kept) + best_m_s).abs() < 1e-5, "{angle_rad}: {kept:?} {best_m_s}");
+        }
+        // a base that is to stand gives it that room too
+        let stopped = BaseGuard { speed_m_s: Some(0.0), ..one_body }.room();
+        assert_eq!(stopped, one_body);
         // where all can be kept nothing changes
         let within = [(1, -0.002), (2, -0.001)];
         assert_eq!(step_within(&one_body, &within, [0.0; 3]), step(&within, [0.0; 3], None));
@@ -683,12 +724,7 @@ mod tests {
         let [_, y, _] = step(&[(6, -0.004 - 0.006 * lever_m)], [0.0; 3], None);
         assert!((y - 0.001).abs() < 1e-5, "{y}");
         // a cover that is turned on its base has the same corners
-        let turned = PAPER_COVER.map(|taxel| {
-            let ([x, y], (sin, cos)) = (taxel.position_base_m, 0.4_f64.sin_cos());
-            let inward_angle_base_rad = taxel.inward_angle_base_rad + 0.4;
-            TaxelPlacement { position_base_m: [cos * x - sin * y, sin * x + cos * y], inward_angle_base_rad }
-        });
-        let turned: CoverOutline<11, f64> = CoverOutline::new(&turned).unwrap();
+        let turned: CoverOutline<11, f64> = CoverOutline::new(&turned(0.4)).unwrap();
         assert_eq!(turned.aside, outline().aside);
         assert_eq!(turned.aside, [0, 0, 0, -1, 1, 0, -1, 0, 0, 0, 1]);
         // somebody else stands there

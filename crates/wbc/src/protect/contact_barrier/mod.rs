@@ -30,7 +30,7 @@
 //!
 //! [`BaseGuard`]: crate::BaseGuard
 
-use crate::cover_map::{BODY_M, SAME_SIDE, squared};
+use crate::cover_map::{BODY_M, on_one_side, squared};
 use crate::error::{ControlError, finite};
 use crate::guard::CoverOutline;
 use crate::reach::ArmReach;
@@ -619,7 +619,7 @@ impl<const K: usize, T: Scalar> ContactBarrier<K, T> {
     pub fn is_beside(&self, i: usize, j: usize) -> bool {
         let columns = self.outline.map().columns();
         let ([x, y, _], [other_x, other_y, _]) = (columns[i], columns[j]);
-        x * other_x + y * other_y > of(SAME_SIDE)
+        on_one_side([x, y], [other_x, other_y])
             && squared(&self.places[i], &self.places[j]) <= self.span_squared
     }
 
