@@ -46,18 +46,17 @@ impl<const D: usize, T: Scalar> Cholesky<D, T> {
         let Self { columns, diagonal, inverse_diagonal } = self;
         // no early return: straight-line code is what compilers make fast, and NaN only stays NaN
         let mut definite = true;
-        columns[0] = a.data.0[0];
+        // what is left to do stays in registers: read in pairs just after it was written in others, memory would have to wait
+        let mut rest = a.data.0;
         for k in 0..D {
-            let (pivot, inverse) = (columns[k][k], T::one() / columns[k][k]);
+            let (pivot, inverse) = (rest[k][k], T::one() / rest[k][k]);
             // that of an infinite pivot is 0
             definite &= (pivot > T::zero()) & (inverse > T::zero());
             (diagonal[k], inverse_diagonal[k]) = (pivot, inverse);
             for j in k + 1..D {
-                let factor = columns[k][j] * inverse;
+                let factor = rest[k][j] * inverse;
                 for i in j..D {
-                    // `a` is not copied first: its columns come as they are needed
-                    let value = if k == 0 { a.data.0[j][i] } else { columns[j][i] };
-                    columns[j][i] = value - factor * columns[k][i];
+                    rest[j][i] -= factor * rest[k][i];
                 }
                 columns[k][j] = factor;
             }
