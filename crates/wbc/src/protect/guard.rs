@@ -626,7 +626,7 @@ mod tests {
 
     /// T2 is behind the middle of its side, T3 and T4 are before it, T4 furthest.
     #[test]
-    fn nearest_motion_gives_one_body_the_most_room_on_all_its_plates() {
+    fn nearest_motion_gives_one_body_room_on_all_its_plates() {
         let one_body = BaseGuard { one_body: true, ..BaseGuard::NONE };
         let near = |a: [f64; 3], b: [f64; 3]| a.iter().zip(b).all(|(a, b)| (a - b).abs() < 1e-5);
         let mean_m_s =
