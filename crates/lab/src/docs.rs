@@ -444,7 +444,7 @@ mod tests {
                 ("on three 0 of 70", "walks | walks, within the bound of any law | 3 |"),
                 ("in 0 of 343 meetings", "led | walks, within the bound of any law | 1 |"),
                 ("exceeds the best by 0.0 N", "stock-2015 | 0.06 to 0.1 |"),
-                ("and at most by 247.3 N", "stock-2015 | 0.06 to 0.1 |"),
+                ("it does so by 247.3 N at most", "stock-2015 | 0.06 to 0.1 |"),
                 ("grow: 0 of 974", "walks | walks, within the bound of any law | 1 |"),
                 ("(458 of 1597 on one plate)", "by hand | stands | 1 |"),
                 ("robot is within 18.5 mm", "led | stands | 1 |"),

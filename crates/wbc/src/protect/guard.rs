@@ -617,7 +617,7 @@ mod tests {
                 [x, y]
             };
             for (apart_rad, expected) in
-                [(0.0, true), (0.79, true), (-0.79, true), (0.8, false), (-0.8, false), (3.14, false)]
+                [(0.0, true), (0.79, true), (-0.79, true), (0.8, false), (-0.8, false), (3.1, false)]
             {
                 assert_eq!(on_one_side(inward(0.0), inward(apart_rad)), expected, "{angle_rad} {apart_rad}");
             }
