@@ -85,8 +85,8 @@ impl PersonSettings {
         self.stiffness.unwrap_or(self.part.data().1.stiffness_n_per_m)
     }
 
-    /// Place along the panel from the taxel's centre, m: a flat body lies in the middle of the plates that it presses, or it would hang on
-    /// a hair which they are. `None` without such a taxel.
+    /// Place along the panel from the taxel's centre, m: a flat body lies in the middle of the plates that it presses, so that no small
+    /// slide changes which they are. `None` without such a taxel.
     fn offset_m(&self, cover: &[TaxelPlacement]) -> Option<f64> {
         let TaxelPlacement { position_base_m: [x, y], inward_angle_base_rad } = *cover.get(self.taxel)?;
         if self.plates < 2 {
