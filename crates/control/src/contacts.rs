@@ -46,11 +46,15 @@ impl ContactTracker {
         Self { limits, reaction, contacts: [None; TAXELS], taxels, waiting: Deque::new(), last_ns: 0 }
     }
 
-    /// Takes the readings of the tick at `now_ns`; each stands until the next tick.
-    pub fn update(&mut self, now_ns: u64, taxels: &[TaxelReading; TAXELS]) {
+    /// Takes the readings of the tick at `now_ns`; each stands until the next tick. Returns true if any taxel is in contact.
+    pub fn update(&mut self, now_ns: u64, taxels: &[TaxelReading; TAXELS]) -> bool {
         let dt_s = seconds(now_ns.saturating_sub(self.last_ns));
         self.last_ns = now_ns;
         let taxels = taxels.get(..self.taxels).unwrap_or(taxels);
+        // most of the time nobody touches
+        if !taxels.iter().any(|reading| reading.force_n > 0.0) && !self.is_touched() {
+            return false;
+        }
         for (i, reading) in taxels.iter().enumerate() {
             let valid = reading.status == TaxelStatus::Ok;
             let touched = valid && reading.force_n > 0.0;
@@ -71,6 +75,7 @@ impl ContactTracker {
                 self.say(event);
             }
         }
+        self.is_touched()
     }
 
     /// Hears what the contact barrier could not keep at `now_ns`; once a contact that is an event.
@@ -90,8 +95,7 @@ impl ContactTracker {
         self.contacts().iter().flatten().any(crossed).then(|| self.taxels_with(crossed))
     }
 
-    /// Returns true if any taxel is in contact.
-    pub fn is_touched(&self) -> bool {
+    fn is_touched(&self) -> bool {
         self.contacts().iter().any(Option::is_some)
     }
 

@@ -6,7 +6,7 @@ use crate::compensation::Compensation;
 use crate::config::live::changed;
 use crate::config::{Config, RecentrePolicy};
 use crate::controller::{self, Controller, LawInput};
-use crate::cover::CoverState;
+use crate::cover::{CoverState, is_felt};
 use crate::flange_sensor::{FlangeReading, FlangeWrench};
 use crate::foam_recovery::FoamRecovery;
 use crate::loop_state::{Beyond, MotionState, OtherRobot};
@@ -217,10 +217,11 @@ impl Motion {
 
     /// Finds what protects the people around the base in the tick at `now_ns`; once a tick, before [`Motion::command`].
     pub fn protect(&mut self, now_ns: u64, cover: &CoverState, mode: Mode) {
+        let mut touched = false;
         if self.parts.has_cover() {
             let limits = &self.parameters.limits;
             self.protection.set_late(self.base_watch.as_deref().map_or(0.0, BaseWatch::late_s));
-            self.protection.update(now_ns, cover, limits, mode.moves(), &mut self.protected);
+            touched = self.protection.update(now_ns, cover, limits, mode.moves(), &mut self.protected);
         }
         if let Some(barrier) = &mut self.barrier {
             self.protection.squeezed(now_ns, barrier.rows());
@@ -234,7 +235,7 @@ impl Motion {
             cap.feel(cover);
         }
         if let Some(uncovered) = &mut self.uncovered {
-            uncovered.feel(cover);
+            uncovered.feel(cover, touched);
         }
         self.recentre.feel(cover);
     }
@@ -431,7 +432,7 @@ impl Motion {
                 return Err(Fault::TaxelInvalid { taxel: u8::try_from(taxel).unwrap_or(u8::MAX), status });
             }
         };
-        let touched = taxel_force_n[..self.taxels].iter().any(|force_n| *force_n > 0.0);
+        let touched = is_felt(taxel_force_n);
         self.lead(now_ns, law, robot, touched).map_err(|_| Fault::ControlRefused)?;
         let (guard, deceleration) = (&mut self.protected.guard, self.parameters.limits.base_acceleration);
         if let Some(uncovered) = &mut self.uncovered {

@@ -135,7 +135,7 @@ impl Protection {
     }
 
     /// The tick at `now_ns`; `moving` if a law moves the robot in it, within `limits`. Everything in `protected` is of this
-    /// tick then.
+    /// tick then. Returns true if any taxel is in contact.
     pub fn update(
         &mut self,
         now_ns: u64,
@@ -143,11 +143,11 @@ impl Protection {
         limits: &Limits<JOINTS>,
         moving: bool,
         protected: &mut Protected,
-    ) {
+    ) -> bool {
         let dt_s = seconds(now_ns.saturating_sub(self.state.last_ns)).min(10.0 * self.tick_s);
         self.state.last_ns = now_ns;
-        self.state.tracker.update(now_ns, &cover.poll.reading.taxels);
-        let limit = self.speed_limit(now_ns, cover, limits);
+        let felt = self.state.tracker.update(now_ns, &cover.poll.reading.taxels);
+        let limit = self.speed_limit(now_ns, cover, felt, limits);
         let Protected { guard, speed_limit, reaction, events } = &mut *protected;
         (*speed_limit, *reaction) = (limit, None);
         let BaseGuard { speed_m_s, blocked, outward_m_s, one_body, bounds_body, room_body, instead_body } =
@@ -157,10 +157,12 @@ impl Protection {
         *blocked = cover.poll.early.touched;
         (*outward_m_s, *one_body, *bounds_body, *room_body, *instead_body) = (None, false, None, None, None);
         self.state.tracker.take(events);
-        match self.state.tracker.crossed().filter(|_| moving) {
+        let crossed = if felt && moving { self.state.tracker.crossed() } else { None };
+        match crossed {
             Some(crossed) => self.react(&crossed, dt_s, protected),
             None => self.state.retreated_m = 0.0,
         }
+        felt
     }
 
     /// Takes in how much later the base is than its stopping distance says, s: as if each reading were so much older.
@@ -206,7 +208,13 @@ impl Protection {
         Some(if felt || self.outline.map().taxels() < 2 { speeds[0] } else { speeds[1] })
     }
 
-    fn speed_limit(&mut self, now_ns: u64, cover: &CoverState, limits: &Limits<JOINTS>) -> SpeedLimit {
+    fn speed_limit(
+        &mut self,
+        now_ns: u64,
+        cover: &CoverState,
+        felt: bool,
+        limits: &Limits<JOINTS>,
+    ) -> SpeedLimit {
         let sampled_at_ns = cover.poll.early.sampled_at_ns;
         self.state.delay.update(now_ns, sampled_at_ns);
         let own_m_s = self.settings.override_speed_limit_m_s;
@@ -215,7 +223,6 @@ impl Protection {
         }
         let Some(explained_s) = self.state.delay.worst_s(self.tick_s) else { return SpeedLimit::default() };
         let age_s = sampled_at_ns.map_or(f64::INFINITY, |t| seconds(now_ns.saturating_sub(t)));
-        let felt = self.state.tracker.is_touched();
         let longer_s = (age_s - explained_s - self.tick_s).max(0.0) + self.late_s;
         let frames = Frames {
             period_s: self.state.delay.period_s(),

@@ -9,7 +9,7 @@
 //! torque. With `"always"` both laws are as published.
 
 use crate::config::{Config, RecentrePolicy};
-use crate::cover::CoverState;
+use crate::cover::{CoverState, is_felt};
 use crate::robot::{JOINTS, TAXELS};
 use crate::supervisor::Touch;
 use moca_msgs::{Outcome, Parameters, PostureOffset, Refusal};
@@ -121,7 +121,7 @@ impl Recentre {
     pub fn feel(&mut self, cover: &CoverState) {
         let early = &cover.poll.early;
         self.touched = early.touched.iter().chain(&early.light).any(|touched| *touched)
-            || cover.poll.forces.as_ref().is_ok_and(|forces_n| forces_n.iter().any(|force_n| *force_n > 0.0));
+            || cover.poll.forces.as_ref().is_ok_and(is_felt);
     }
 
     /// Bounds the base's motion in a tick of `law`; `led` while a target leads it.
