@@ -22,16 +22,16 @@ pub struct StateCheck {
 }
 
 /// A state that may be commanded with, or none; and what is wrong.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Checked {
+#[derive(Debug, PartialEq)]
+pub struct Checked<'a> {
     /// Whatever it is, nothing in it is old, not a number or impossible. With [`Fault::BaseStale`] the base's part is the
     /// last known, at rest: the arm can be held with it, the base must not be driven.
-    pub state: Option<RobotState<JOINTS>>,
+    pub state: Option<&'a mut RobotState<JOINTS>>,
     /// Fault for the supervisor.
     pub fault: Option<Fault>,
 }
 
-impl Checked {
+impl Checked<'_> {
     /// No state, for this reason.
     pub const fn none(fault: Fault) -> Self {
         Self { state: None, fault: Some(fault) }
@@ -39,29 +39,27 @@ impl Checked {
 }
 
 impl StateCheck {
-    /// Lets `state` in, measured `dt_s` after the last one. What comes after a stale one is compared with nothing: the
-    /// robot may have been moved meanwhile, and a law starts from where it is. [`Fault::ArmStale`] and
-    /// [`Fault::BaseStale`] are beyond `deadlines`, [`Fault::StateInvalid`] is a value that is not finite or a jump that no
-    /// robot makes.
-    pub fn check(
+    /// Lets `state` in, measured `dt_s` after the last one; it stays where it is, because it is large. What comes after a
+    /// stale one is compared with nothing: the robot may have been moved meanwhile, and a law starts from where it is.
+    /// [`Fault::ArmStale`] and [`Fault::BaseStale`] are beyond `deadlines`, [`Fault::StateInvalid`] is a value that is not
+    /// finite or a jump that no robot makes.
+    pub fn check<'a>(
         &mut self,
-        measured: &RobotState<JOINTS>,
+        state: &'a mut RobotState<JOINTS>,
         age: SourceAge,
         deadlines: SourceAge,
         dt_s: f64,
-    ) -> Checked {
+    ) -> Checked<'a> {
         let fresh = |age_s: f64, deadline_s: f64| age_s <= deadline_s; // an age that is not a number is none
         if !fresh(age.arm_s, deadlines.arm_s) {
             self.last = None;
             return Checked::none(Fault::ArmStale);
         }
         let base_held = !fresh(age.base_s, deadlines.base_s);
-        let held = base_held.then(|| RobotState {
-            base_pose_world: self.last.as_ref().map_or([0.0; 3], |last| last.base_pose_world),
-            base_velocity_world: [0.0; 3],
-            ..*measured
-        });
-        let state = held.as_ref().unwrap_or(measured);
+        if base_held {
+            state.base_pose_world = self.last.as_ref().map_or([0.0; 3], |last| last.base_pose_world);
+            state.base_velocity_world = [0.0; 3];
+        }
         let jumped = |last: &RobotState<JOINTS>| {
             let same_source = self.base_held == base_held;
             joints_jumped(last, state, dt_s) || same_source && base_jumped(last, state, dt_s)
@@ -70,7 +68,7 @@ impl StateCheck {
             return Checked::none(Fault::StateInvalid);
         }
         (self.last, self.base_held) = (Some(*state), base_held);
-        Checked { state: Some(*state), fault: base_held.then_some(Fault::BaseStale) }
+        Checked { state: Some(state), fault: base_held.then_some(Fault::BaseStale) }
     }
 }
 
@@ -112,13 +110,13 @@ mod tests {
         /// The state that may be commanded with, where nothing is wrong with it.
         fn good(
             &mut self,
-            state: RobotState<JOINTS>,
+            mut state: RobotState<JOINTS>,
             age: SourceAge,
             dt_s: f64,
         ) -> Result<RobotState<JOINTS>, Fault> {
-            let checked = self.check(&state, age, DEADLINES, dt_s);
+            let checked = self.check(&mut state, age, DEADLINES, dt_s);
             assert_eq!(checked.state.is_none(), !matches!(checked.fault, None | Some(Fault::BaseStale)));
-            checked.fault.map_or_else(|| Ok(checked.state.unwrap()), Err)
+            checked.fault.map_or(Ok(state), Err)
         }
     }
 
@@ -211,15 +209,16 @@ mod tests {
         let old = SourceAge { arm_s: 0.0, base_s: f64::INFINITY };
         moving.q_rad[1] = 0.02;
         moving.base_pose_world = [f64::NAN; 3];
-        let held = states.check(&moving, old, DEADLINES, 1e-3);
+        let mut measured = moving;
+        let held = states.check(&mut measured, old, DEADLINES, 1e-3);
         assert_eq!(held.fault, Some(Fault::BaseStale));
         let held = held.state.unwrap();
         assert_eq!((held.base_pose_world, held.base_velocity_world), ([1.0, 2.0, 0.3], [0.0; 3]));
         assert_eq!((held.q_rad, held.dq_rad_s), (moving.q_rad, moving.dq_rad_s), "the arm's part is of now");
         moving.q_rad[1] = 0.5;
-        assert_eq!(states.check(&moving, old, DEADLINES, 1e-3), Checked::none(Fault::StateInvalid));
+        assert_eq!(states.check(&mut { moving }, old, DEADLINES, 1e-3), Checked::none(Fault::StateInvalid));
         moving.q_rad[1] = 0.02;
-        let unknown = StateCheck::default().check(&moving, old, DEADLINES, 1e-3).state.unwrap();
+        let unknown = StateCheck::default().check(&mut moving, old, DEADLINES, 1e-3).state.unwrap();
         assert_eq!(
             (unknown.base_pose_world, unknown.base_velocity_world),
             ([0.0; 3], [0.0; 3]),

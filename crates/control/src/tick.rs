@@ -1,6 +1,6 @@
 //! The loop: one tick of the robot, from state and bytes to a command.
 
-use crate::cover::{CoverSource, CoverState};
+use crate::cover::{CoverSource, CoverState, is_felt};
 use crate::flange_sensor::{FlangeReading, FlangeSensor};
 use crate::law::{self, Motion};
 use crate::loop_state::{LoopState, OtherRobot};
@@ -56,15 +56,17 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     /// it is large.
     pub fn tick(&mut self, slot: &Slot, request: Option<Request>, timer: &mut impl StageTimer) -> &Ticked {
         timer.begin();
-        let measured = self.measured();
+        let mut measured = self.measured();
+        // as it came
+        self.ticked.input.state = measured;
         let (age, link) = (self.plant.age(), self.plant.link());
         let (deadlines, elapsed_s) = (self.motion.deadlines(), self.elapsed_s(slot));
-        let mut robot = match &measured {
+        let mut robot = match &mut measured {
             Ok(state) => self.state_check.check(state, age, deadlines, elapsed_s),
             Err(fault) => Checked::none(*fault),
         };
         let flange = self.flange_reading();
-        let flange_fault = self.motion.feel_flange(flange, robot.state.as_mut(), elapsed_s).err();
+        let flange_fault = self.motion.feel_flange(flange, robot.state.as_deref_mut(), elapsed_s).err();
         if let Some(state) = &robot.state {
             self.motion.see(state);
         }
@@ -78,7 +80,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         self.release_arm(&robot, mode);
         let dt_s = self.elapsed_s(slot);
         // large, and nowhere copied
-        let output = match robot.state.as_ref().filter(|_| mode != Mode::Fault) {
+        let output = match robot.state.as_deref().filter(|_| mode != Mode::Fault) {
             Some(state) => self.motion.command(slot.now_ns, mode, state, &self.felt.poll.forces, dt_s),
             None => Err(robot.fault.unwrap_or(Fault::StateInvalid)),
         };
@@ -96,19 +98,12 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         self.ticked.sample.gripper = gripper;
         timer.end(Stage::Write);
 
-        self.show(slot, (robot.state.as_ref(), age, link), &actuation, output);
-        self.ticked.input = TickInput {
-            slot: *slot,
-            state: measured,
-            age,
-            link,
-            flange,
-            gripper,
-            request,
-            outcome,
-            refused,
-            cover_events: self.felt.events,
-        };
+        self.show(slot, (robot.state.as_deref(), age, link), &actuation, output);
+        let input = &mut self.ticked.input;
+        (input.slot, input.age, input.link, input.flange, input.gripper) =
+            (*slot, age, link, flange, gripper);
+        (input.request, input.outcome, input.refused) = (request, outcome, refused);
+        input.cover_events = self.felt.events;
         &self.ticked
     }
 
@@ -185,13 +180,14 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     fn decide(
         &mut self,
         slot: &Slot,
-        (robot, flange_fault): (&Checked, Option<Fault>),
+        (robot, flange_fault): (&Checked<'_>, Option<Fault>),
         request: Option<Request>,
     ) -> (Option<Outcome>, Mode) {
         let cover = &self.felt;
         let taxels = ..self.motion.taxels();
         let (flange_zero, no_zero) = self.motion.flange_zero();
         let of_cover = matches!(cover.zero, Zero::Invalid | Zero::Refused);
+        let felt_n = cover.poll.forces.as_ref().ok().filter(|forces_n| is_felt(forces_n));
         let facts = Facts {
             cover_seen: cover.frames_good > 0 || !self.motion.parts().has_cover(),
             cover_fault: cover.poll.fault,
@@ -199,7 +195,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             zero_fault: if of_cover { Fault::ZeroInvalid } else { no_zero },
             plant_fault: robot.fault.or(flange_fault),
             far_joint: robot.state.as_ref().and_then(|state| self.motion.far_joint(state)),
-            touch: cover.poll.forces.as_ref().ok().and_then(|forces_n| Touch::strongest(&forces_n[taxels])),
+            touch: felt_n.and_then(|forces_n| Touch::strongest(&forces_n[taxels])),
         };
         let decision = self.supervisor.step(&facts, request);
         if decision.start_tare {
@@ -219,7 +215,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         request: Request,
         now_ns: u64,
         mode: Mode,
-        robot: &Checked,
+        robot: &Checked<'_>,
         touch: Option<Touch>,
     ) -> Outcome {
         match request {
@@ -245,7 +241,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     /// Takes in the law's output in `mode`; without one the robot brakes.
     fn heed(
         &mut self,
-        robot: &Checked,
+        robot: &Checked<'_>,
         output: &Result<ControlOutput<JOINTS>, Fault>,
         mode: Mode,
         dt_s: f64,
@@ -269,7 +265,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
 
     /// Leaves a real arm to its own controller in this tick if needed: until the robot is ready for the first time, and after a stop
     /// in which it could not be driven, until somebody resumes. Nothing else gives it torques again.
-    fn release_arm(&mut self, robot: &Checked, mode: Mode) {
+    fn release_arm(&mut self, robot: &Checked<'_>, mode: Mode) {
         let released = match mode {
             Mode::Ready | Mode::Impedance | Mode::FollowMe => false,
             Mode::Starting | Mode::Fault => true,
@@ -282,7 +278,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     }
 
     /// The order to each part. A base whose state is old stands, whatever the arm does.
-    fn actuation(&self, robot: &Checked, output: Option<&ControlOutput<JOINTS>>) -> Actuation<JOINTS> {
+    fn actuation(&self, robot: &Checked<'_>, output: Option<&ControlOutput<JOINTS>>) -> Actuation<JOINTS> {
         match law::actuation(output) {
             Actuation::Drive(_) if self.arm_released => Actuation::Brake,
             Actuation::Drive(command) if robot.fault.is_some() => {
