@@ -35,11 +35,14 @@ pub(crate) struct BaseLink {
     last_arrival: u64,
     in_force: [f64; 3],
     odometry: Odometry,
+    /// Orders arrive in the control period that sends them, and no odometry shares the noise with their jitter.
+    is_direct: bool,
 }
 
 impl BaseLink {
     pub(crate) fn new(truth: &TrueBase, period_s: f64, seed: u64) -> Self {
         let longest_ms = truth.order_delay_ms + truth.order_jitter_ms;
+        let odometry = Odometry::new(truth, period_s);
         Self {
             truth: *truth,
             period_s,
@@ -49,7 +52,8 @@ impl BaseLink {
             next_order_at: 0,
             last_arrival: 0,
             in_force: [0.0; 3],
-            odometry: Odometry::new(truth, period_s),
+            is_direct: longest_ms <= 0.0 && truth.order_period_ms <= 0.0 && odometry.is_exact,
+            odometry,
         }
     }
 
@@ -66,6 +70,9 @@ impl BaseLink {
 
     /// Sends an order, and returns the one that the servo follows in this control period.
     pub(crate) fn order(&mut self, velocity_body: [f64; 3]) -> [f64; 3] {
+        if self.is_direct {
+            return velocity_body;
+        }
         if self.now >= self.next_order_at {
             self.next_order_at = self.now + ticks(self.truth.order_period_ms, self.period_s).max(1) as u64;
             let jitter_ms = self.truth.order_jitter_ms * (2.0 * self.noise.uniform() - 1.0);
