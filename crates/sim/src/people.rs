@@ -328,10 +328,12 @@ impl Body {
             Shape::Cylinder { radius_m } => {
                 let nearest = cover.outline.nearest(place_base);
                 let plates = self.person.plates;
-                let plates = if plates > 1 { cover.outline.plates(&nearest, plates) } else { [None; K] };
-                if plates.iter().any(Option::is_some) {
-                    self.press_flat(cover, (&nearest, &plates), radius_m, velocity_world, time_s, felt);
-                    return;
+                if plates > 1 {
+                    let plates = cover.outline.plates(&nearest, plates);
+                    if plates.iter().any(Option::is_some) {
+                        self.press_flat(cover, (&nearest, &plates), radius_m, velocity_world, time_s, felt);
+                        return;
+                    }
                 }
                 let meeting = Meeting {
                     contact: 0,
