@@ -34,6 +34,14 @@ impl Loads {
             flange_world: self.flange_world.map(|f| f * factor),
         }
     }
+
+    /// Returns true if these are the `others`.
+    #[expect(clippy::float_cmp, reason = "loads are given, not computed")]
+    fn are(&self, others: &Self) -> bool {
+        // no early return: several at once
+        let same = |a: &[f64], b: &[f64]| a.iter().zip(b).fold(true, |same, (a, b)| same & (a == b));
+        same(&self.taxel_n, &others.taxel_n) & same(&self.flange_world, &others.flange_world)
+    }
 }
 
 /// One tick of an experiment.
@@ -325,7 +333,7 @@ impl Rig {
 
     /// One tick, and the mode after it.
     fn tick(&mut self, loads: &Loads) -> Result<Mode> {
-        if *loads != self.loads {
+        if !loads.are(&self.loads) {
             self.push(loads)?;
         }
         if let Some(flight) = self.flight.filter(|flight| flight.row <= self.rows.len())
@@ -358,7 +366,8 @@ impl Rig {
         }
         #[expect(clippy::cast_precision_loss, reason = "tick counts are far below 2^53")]
         let t_s = self.rows.len() as f64 * self.period_s;
-        self.rows.push(Row {
+        // a row made before its place is would be copied
+        self.rows.extend(std::iter::once_with(|| Row {
             t_s,
             base_pose_world: sample.base_pose_world,
             base_velocity_world: sample.base_velocity_world,
@@ -378,7 +387,7 @@ impl Rig {
             largest_force_n,
             person_world,
             pressed: pressed(sample),
-        });
+        }));
         Ok(sample.mode)
     }
 }
