@@ -56,6 +56,8 @@ pub struct Motion {
     parts: Parts,
     /// Motion of the base in the present tick.
     base: BaseMotion,
+    /// The cover has a force of somebody in the present tick.
+    felt: bool,
     /// Protection of the present tick.
     protected: Protected,
     /// A target moves with a twist.
@@ -113,6 +115,7 @@ impl Motion {
             object: None,
             parts,
             base: BaseMotion::default(),
+            felt: false,
             protected,
             twisted: false,
             real,
@@ -237,7 +240,8 @@ impl Motion {
         if let Some(uncovered) = &mut self.uncovered {
             uncovered.feel(cover, touched);
         }
-        self.recentre.feel(cover);
+        self.felt = cover.poll.forces.as_ref().is_ok_and(is_felt);
+        self.recentre.feel(cover, self.felt);
     }
 
     /// Returns the protection of this tick.
@@ -387,7 +391,7 @@ impl Motion {
     }
 
     /// Displacement of the base from where the arm's posture wants it.
-    pub const fn posture_offset(&self) -> Option<PostureOffset> {
+    pub fn posture_offset(&self) -> Option<PostureOffset> {
         self.recentre.offset()
     }
 
@@ -432,13 +436,14 @@ impl Motion {
                 return Err(Fault::TaxelInvalid { taxel: u8::try_from(taxel).unwrap_or(u8::MAX), status });
             }
         };
-        let touched = is_felt(taxel_force_n);
+        let touched = self.felt && law != ControlLaw::Hold;
         self.lead(now_ns, law, robot, touched).map_err(|_| Fault::ControlRefused)?;
         let (guard, deceleration) = (&mut self.protected.guard, self.parameters.limits.base_acceleration);
         if let Some(uncovered) = &mut self.uncovered {
             uncovered.advance(self.base.velocity_body, dt_s);
             guard.bounds_body = uncovered.bounds_body(deceleration);
-            guard.room_body = uncovered.room_body(deceleration);
+            // room is for whom the barrier detects
+            guard.room_body = self.barrier.as_ref().and_then(|_| uncovered.room_body(deceleration));
         }
         self.recentre.bound(guard, &self.parameters, (law, self.targets.leads()), dt_s);
         let contacts;

@@ -9,12 +9,12 @@
 //! torque. With `"always"` both laws are as published.
 
 use crate::config::{Config, RecentrePolicy};
-use crate::cover::{CoverState, is_felt};
+use crate::cover::CoverState;
 use crate::robot::{JOINTS, TAXELS};
 use crate::supervisor::Touch;
 use moca_msgs::{Outcome, Parameters, PostureOffset, Refusal};
 use moca_wbc::nalgebra::{Matrix3, Vector2, Vector3};
-use moca_wbc::{BaseGuard, ControlLaw, ControlOutput, rotation};
+use moca_wbc::{BaseGuard, ControlLaw, ControlOutput, FlangePose, rotation};
 use serde::{Deserialize, Serialize};
 
 /// Speed of the cover's fastest point on the way back, m/s.
@@ -46,8 +46,20 @@ pub struct Recentre {
     policy: RecentrePolicy,
     place: Option<PosturePlace>,
     touched: bool,
-    offset: Option<PostureOffset>,
+    stance: Stance,
     state: RecentreState,
+}
+
+/// Base and tool in one tick, for [`Recentre::offset`].
+#[derive(Clone, Copy, Debug)]
+struct Stance {
+    /// Place of the tool in the posture; `None` before the impedance law has run.
+    place: Option<PosturePlace>,
+    /// Place of the base in W, m; sine and cosine of its yaw.
+    base_world: [f64; 2],
+    heading: (f64, f64),
+    tool: FlangePose,
+    recentring: bool,
 }
 
 /// Memory from tick to tick.
@@ -69,7 +81,7 @@ impl Recentre {
     /// As configured; `place` is `None` for a robot that lacks base, arm or cover.
     pub fn new(config: &Config, place: Option<PosturePlace>) -> Self {
         let policy = config.control.recentre;
-        Self { policy, place, touched: false, offset: None, state: RecentreState::default() }
+        Self { policy, place, touched: false, stance: Stance::NONE, state: RecentreState::default() }
     }
 
     /// Memory from tick to tick.
@@ -88,13 +100,13 @@ impl Recentre {
     }
 
     /// Displacement of the base from where the posture wants it; `None` before the impedance law has run.
-    pub const fn offset(&self) -> Option<PostureOffset> {
-        self.offset
+    pub fn offset(&self) -> Option<PostureOffset> {
+        self.stance.place.as_ref().map(|place| self.stance.offset(place))
     }
 
     /// Forgets the request and the motion, because the law has ended.
     pub fn leave(&mut self) {
-        (self.state, self.offset) = (RecentreState::default(), None);
+        (self.state, self.stance.place) = (RecentreState::default(), None);
     }
 
     /// Starts the way back.
@@ -117,11 +129,10 @@ impl Recentre {
         self.state.recentring = false;
     }
 
-    /// Takes in whether the cover feels anybody, however lightly.
-    pub fn feel(&mut self, cover: &CoverState) {
+    /// Takes in whether the cover feels anybody, however lightly; `felt` if it has a force of them.
+    pub fn feel(&mut self, cover: &CoverState, felt: bool) {
         let early = &cover.poll.early;
-        self.touched = early.touched.iter().chain(&early.light).any(|touched| *touched)
-            || cover.poll.forces.as_ref().is_ok_and(is_felt);
+        self.touched = felt || early.touched.iter().chain(&early.light).any(|touched| *touched);
     }
 
     /// Bounds the base's motion in a tick of `law`; `led` while a target leads it.
@@ -179,7 +190,7 @@ impl Recentre {
     pub fn remember(
         &mut self,
         law: ControlLaw,
-        ([x, y, _], (sin, cos)): ([f64; 3], (f64, f64)),
+        ([x, y, _], heading): ([f64; 3], (f64, f64)),
         output: &ControlOutput<JOINTS>,
         dt_s: f64,
     ) {
@@ -195,6 +206,7 @@ impl Recentre {
             ControlLaw::Hold | ControlLaw::Impedance => 1.0,
         };
         let moment = mz + (flange[0] - x) * fy - (flange[1] - y) * fx;
+        let (sin, cos) = heading;
         let hand = [cos * fx + sin * fy, cos * fy - sin * fx, moment].map(|part| counts * part);
         let state = &mut self.state;
         state.flange_held = held;
@@ -208,32 +220,41 @@ impl Recentre {
         // from the present motion on it comes to rest
         state.bounds_body[0] = std::array::from_fn(|i| state.bounds_body[0][i].min(velocity[i]).min(0.0));
         state.bounds_body[1] = std::array::from_fn(|i| state.bounds_body[1][i].max(velocity[i]).max(0.0));
-        let posture = self.place.filter(|_| law == ControlLaw::Impedance);
-        self.offset = posture.map(|place| offset(&place, ([x, y], (sin, cos)), output, state.recentring));
+        // written where it is: what is put together elsewhere is copied while it is still on its way to memory
+        let stance = &mut self.stance;
+        stance.place = self.place.filter(|_| law == ControlLaw::Impedance);
+        (stance.base_world, stance.heading, stance.recentring) = ([x, y], heading, state.recentring);
+        stance.tool = output.flange;
     }
 }
 
-/// Displacement of the base, whose yaw has this sine and cosine, that would bring the tool to its place in the posture.
-fn offset(
-    place: &PosturePlace,
-    ([x, y], (sin, cos)): ([f64; 2], (f64, f64)),
-    output: &ControlOutput<JOINTS>,
-    recentring: bool,
-) -> PostureOffset {
-    let tool = rotation::from_quaternion(output.flange.quaternion_world);
-    // the yaw in W at which the tool on the base would be turned least from where it is
-    let turned = |i: usize, j: usize| tool.row(i).dot(&place.rotation_base.row(j));
-    let toward = Vector2::new(turned(0, 0) + turned(1, 1), turned(1, 0) - turned(0, 1));
-    let angle_rad = (cos * toward.y - sin * toward.x).atan2(cos * toward.x + sin * toward.y);
-    let toward = toward.try_normalize(0.0).unwrap_or(Vector2::new(cos, sin));
-    let [tool_x, tool_y, _] = output.flange.position_world;
-    let posture = place.position_base;
-    let wanted = Vector2::new(
-        toward.x * posture.x - toward.y * posture.y,
-        toward.y * posture.x + toward.x * posture.y,
-    );
-    let distance_m = Vector2::new(tool_x - wanted.x - x, tool_y - wanted.y - y).norm();
-    PostureOffset { distance_m, angle_rad, recentring }
+impl Stance {
+    const NONE: Self = Self {
+        place: None,
+        base_world: [0.0; 2],
+        heading: (0.0, 1.0),
+        tool: FlangePose { position_world: [0.0; 3], quaternion_world: [0.0, 0.0, 0.0, 1.0] },
+        recentring: false,
+    };
+
+    /// Displacement of the base that would bring the tool to its `place` in the posture.
+    fn offset(&self, place: &PosturePlace) -> PostureOffset {
+        let &Self { place: _, base_world: [x, y], heading: (sin, cos), tool, recentring } = self;
+        let axes = rotation::from_quaternion(tool.quaternion_world);
+        // the yaw in W at which the tool on the base would be turned least from where it is
+        let turned = |i: usize, j: usize| axes.row(i).dot(&place.rotation_base.row(j));
+        let toward = Vector2::new(turned(0, 0) + turned(1, 1), turned(1, 0) - turned(0, 1));
+        let angle_rad = (cos * toward.y - sin * toward.x).atan2(cos * toward.x + sin * toward.y);
+        let toward = toward.try_normalize(0.0).unwrap_or(Vector2::new(cos, sin));
+        let [tool_x, tool_y, _] = tool.position_world;
+        let posture = place.position_base;
+        let wanted = Vector2::new(
+            toward.x * posture.x - toward.y * posture.y,
+            toward.y * posture.x + toward.x * posture.y,
+        );
+        let distance_m = Vector2::new(tool_x - wanted.x - x, tool_y - wanted.y - y).norm();
+        PostureOffset { distance_m, angle_rad, recentring }
+    }
 }
 
 #[cfg(test)]

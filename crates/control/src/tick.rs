@@ -14,7 +14,7 @@ use heapless::Vec;
 use moca_msgs::{
     Actuation, ArmLink, Fault, Link, Mode, Outcome, Refusal, Request, RobotCommand, RobotState, Sample,
 };
-use moca_wbc::{ControlError, ControlOutput, FlangePose};
+use moca_wbc::{ControlError, ControlOutput};
 
 /// The parts of a running robot, and nothing that knows how the tick is timed or who watches.
 pub struct ControlLoop<P, S> {
@@ -22,6 +22,9 @@ pub struct ControlLoop<P, S> {
     pub plant: P,
     /// Its cover.
     pub cover: S,
+    /// Somebody reads all that a tick leaves behind. Else it writes neither its input nor what the sample says beside the robot's
+    /// motion, mode and touch.
+    pub watched: bool,
     /// State of the cover in this tick.
     felt: CoverState,
     state_check: StateCheck,
@@ -49,7 +52,18 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         let (state_check, ticked) = (StateCheck::default(), Ticked::default());
         let arm_released = motion.is_of_a_real_robot();
         let felt = CoverState::NONE;
-        Self { plant, cover, felt, state_check, supervisor, motion, period_s, arm_released, ticked }
+        Self {
+            plant,
+            cover,
+            watched: true,
+            felt,
+            state_check,
+            supervisor,
+            motion,
+            period_s,
+            arm_released,
+            ticked,
+        }
     }
 
     /// One tick: read, decide, command, write; `timer` hears of each stage's end. What it leaves behind stays where it is:
@@ -57,8 +71,10 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
     pub fn tick(&mut self, slot: &Slot, request: Option<Request>, timer: &mut impl StageTimer) -> &Ticked {
         timer.begin();
         let mut measured = self.measured();
-        // as it came
-        self.ticked.input.state = measured;
+        if self.watched {
+            // as it came
+            self.ticked.input.state = measured;
+        }
         let (age, link) = (self.plant.age(), self.plant.link());
         let (deadlines, elapsed_s) = (self.motion.deadlines(), self.elapsed_s(slot));
         let mut robot = match &mut measured {
@@ -95,10 +111,14 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         }
         let gripper = self.plant.gripper();
         self.motion.carry(gripper.as_ref());
-        self.ticked.sample.gripper = gripper;
         timer.end(Stage::Write);
 
-        self.show(slot, (robot.state.as_deref(), age, link), &actuation, output);
+        self.show(robot.state.as_deref(), &actuation, output);
+        if !self.watched {
+            return &self.ticked;
+        }
+        self.show_rest(slot, (robot.state.as_deref(), age, link), &actuation);
+        self.ticked.sample.gripper = gripper;
         let input = &mut self.ticked.input;
         (input.slot, input.age, input.link, input.flange, input.gripper) =
             (*slot, age, link, flange, gripper);
@@ -288,13 +308,46 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         }
     }
 
-    /// Writes every field of the sample; put together elsewhere it would be copied.
+    /// Writes the robot's motion, mode and touch into the sample; put together elsewhere it would be copied.
     fn show(
+        &mut self,
+        robot: Option<&RobotState<JOINTS>>,
+        actuation: &Actuation<JOINTS>,
+        output: Option<&ControlOutput<JOINTS>>,
+    ) {
+        let Self { supervisor, motion, felt: cover, ticked: Ticked { sample, .. }, .. } = self;
+        sample.mode = supervisor.mode();
+        sample.fault = supervisor.cause();
+
+        let (taxels, joints) = (..motion.taxels(), ..motion.joints());
+        fill(&mut sample.taxels, &cover.poll.reading.taxels[taxels]);
+        sample.frame_rate_hz = cover.rate_hz;
+        fill(&mut sample.contact_rows, motion.contact_rows());
+
+        sample.base_pose_world = robot.map_or([0.0; 3], |robot| robot.base_pose_world);
+        sample.base_velocity_world = robot.map_or([0.0; 3], |robot| robot.base_velocity_world);
+        fill(&mut sample.q_rad, robot.map_or(&[], |robot| &robot.q_rad[joints]));
+
+        let command = command_of(actuation);
+        sample.base_velocity_command_body = command.map_or([0.0; 3], |command| command.base_velocity_body);
+        sample.cover_wrench_base = output.map_or([0.0; 3], |output| output.cover_wrench_base);
+
+        let arm = output.filter(|_| motion.parts().has_arm());
+        sample.flange_wrench_world = arm.map_or([0.0; 6], |output| output.flange_wrench_world);
+        sample.flange_position_world = arm.map_or([0.0; 3], |output| output.flange.position_world);
+        sample.flange_quaternion_world = arm.map_or([0.0; 4], |output| output.flange.quaternion_world);
+        sample.flange_desired_position_world =
+            arm.map_or([0.0; 3], |output| output.flange_desired.position_world);
+        sample.flange_desired_quaternion_world =
+            arm.map_or([0.0; 4], |output| output.flange_desired.quaternion_world);
+    }
+
+    /// Writes every other field of the sample.
+    fn show_rest(
         &mut self,
         slot: &Slot,
         (robot, age, link): (Option<&RobotState<JOINTS>>, SourceAge, Option<ArmLink>),
         actuation: &Actuation<JOINTS>,
-        output: Option<&ControlOutput<JOINTS>>,
     ) {
         let Self { supervisor, motion, felt: cover, ticked: Ticked { sample, .. }, .. } = self;
         sample.tick = slot.tick;
@@ -302,18 +355,14 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         sample.lateness_s = slot.lateness_s;
         sample.overruns = slot.overruns;
         sample.stages_ns = slot.stages_ns;
-        sample.mode = supervisor.mode();
         sample.law = Some(supervisor.law());
-        sample.fault = supervisor.cause();
         sample.target = motion.target();
         sample.posture = motion.posture_offset();
         sample.link = link.map(|arm| Link { arm_age_s: age.arm_s, base_age_s: age.base_s, arm });
 
         let (taxels, joints) = (..motion.taxels(), ..motion.joints());
-        fill(&mut sample.taxels, &cover.poll.reading.taxels[taxels]);
         fill(&mut sample.counts, &cover.counts[taxels]);
         sample.frame_age_s = cover.poll.reading.age_s(slot.now_ns).unwrap_or(-1.0);
-        sample.frame_rate_hz = cover.rate_hz;
         (sample.frames_good, sample.frames_bad) = (cover.frames_good, cover.frames_bad);
         sample.board = cover.board;
 
@@ -321,32 +370,19 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         sample.speed_limit = protected.speed_limit;
         sample.contact_reaction = protected.reaction;
         fill(&mut sample.contact_events, &protected.events);
-        fill(&mut sample.contact_rows, motion.contact_rows());
 
-        sample.base_pose_world = robot.map_or([0.0; 3], |robot| robot.base_pose_world);
-        sample.base_velocity_world = robot.map_or([0.0; 3], |robot| robot.base_velocity_world);
         sample.cover_speed_m_s = robot.map_or(0.0, |_| motion.cover_speed_m_s());
         sample.uncovered_way_m = robot.map_or(0.0, |_| motion.uncovered_way_m());
-        fill(&mut sample.q_rad, robot.map_or(&[], |robot| &robot.q_rad[joints]));
         fill(&mut sample.dq_rad_s, robot.map_or(&[], |robot| &robot.dq_rad_s[joints]));
-
-        let command = match actuation {
-            Actuation::Drive(command) => Some(command),
-            Actuation::Brake => None,
-        };
-        sample.base_velocity_command_body = command.map_or([0.0; 3], |command| command.base_velocity_body);
+        let command = command_of(actuation);
         fill(&mut sample.arm_torque_nm, command.map_or(&[], |command| &command.arm_torque_nm[joints]));
-        sample.cover_wrench_base = output.map_or([0.0; 3], |output| output.cover_wrench_base);
+    }
+}
 
-        let arm = output.filter(|_| motion.parts().has_arm());
-        let pose = |pose: Option<&FlangePose>| {
-            pose.map_or(([0.0; 3], [0.0; 4]), |pose| (pose.position_world, pose.quaternion_world))
-        };
-        sample.flange_wrench_world = arm.map_or([0.0; 6], |output| output.flange_wrench_world);
-        (sample.flange_position_world, sample.flange_quaternion_world) =
-            pose(arm.map(|output| &output.flange));
-        (sample.flange_desired_position_world, sample.flange_desired_quaternion_world) =
-            pose(arm.map(|output| &output.flange_desired));
+const fn command_of(actuation: &Actuation<JOINTS>) -> Option<&RobotCommand<JOINTS>> {
+    match actuation {
+        Actuation::Drive(command) => Some(command),
+        Actuation::Brake => None,
     }
 }
 

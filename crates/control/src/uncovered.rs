@@ -97,7 +97,9 @@ impl Uncovered {
         let taxels = &cover.poll.reading.taxels[..self.covers.len()];
         self.touched = touched;
         let is_usable = |taxel: &TaxelReading| taxel.status != TaxelStatus::Masked;
-        if taxels.iter().zip(&self.usable).any(|(taxel, usable)| is_usable(taxel) != *usable) {
+        // no early return: several at once
+        let changed = |changed, (taxel, usable): (_, &bool)| changed | (is_usable(taxel) != *usable);
+        if taxels.iter().zip(&self.usable).fold(false, changed) {
             for (usable, taxel) in self.usable.iter_mut().zip(taxels) {
                 *usable = is_usable(taxel);
             }
