@@ -34,14 +34,6 @@ impl Loads {
             flange_world: self.flange_world.map(|f| f * factor),
         }
     }
-
-    /// Returns true if these are the `others`.
-    #[expect(clippy::float_cmp, reason = "loads are given, not computed")]
-    fn are(&self, others: &Self) -> bool {
-        // no early return: several at once
-        let same = |a: &[f64], b: &[f64]| a.iter().zip(b).fold(true, |same, (a, b)| same & (a == b));
-        same(&self.taxel_n, &others.taxel_n) & same(&self.flange_world, &others.flange_world)
-    }
 }
 
 /// One tick of an experiment.
@@ -211,7 +203,9 @@ impl Rig {
         let ticks = |ms: f64| whole(ms * 1e-3 / period_s);
         let cover = match settings.sensor {
             Sensor::Stock => {
-                SensorModel::Board(Box::new(LockStep::with_board(&config, scene, settings.board(), None)?))
+                let mut lock_step = LockStep::with_board(&config, scene, settings.board(), None)?;
+                lock_step.control.watched = false;
+                SensorModel::Board(Box::new(lock_step))
             }
             Sensor::Ideal | Sensor::Off => {
                 if settings.sensor == Sensor::Off {
@@ -221,6 +215,7 @@ impl Rig {
                     IdealCover::new(ticks(settings.period_ms()), simulated_robot::extra_age_ticks(&config));
                 let mut lock_step = LockStep::with_true_forces(&config, scene, ideal)?;
                 lock_step.feed = settings.sensor_samples;
+                lock_step.control.watched = false;
                 SensorModel::True(Box::new(lock_step))
             }
         };
@@ -237,7 +232,7 @@ impl Rig {
         };
         rig.robot().world.set_people_waiting(true);
         loop {
-            let mode = rig.tick(&Loads::default())?;
+            let mode = rig.tick()?;
             if mode.moves() {
                 break;
             }
@@ -248,7 +243,7 @@ impl Rig {
             }
             ensure!(rig.sim_s < START_WITHIN_S, "the robot was not armed within {START_WITHIN_S} s");
         }
-        rig.run_for(1e-3 * settings.sensor_phase_ms, |_| Loads::default())?;
+        rig.run_unloaded_for(1e-3 * settings.sensor_phase_ms)?;
         rig.rows.clear();
         rig.robot().world.set_people_waiting(false);
         Ok(rig)
@@ -257,12 +252,24 @@ impl Rig {
     /// Runs on for `duration_s` under `loads`, a function of the time since the last row before, s. Ends early if the
     /// robot stops.
     pub fn run_for(&mut self, duration_s: f64, loads: impl Fn(f64) -> Loads) -> Result<()> {
+        self.run(duration_s, |rig, t_s| rig.push(&loads(t_s)))
+    }
+
+    /// Runs on for `duration_s` without a load by the script, as [`Self::run_for`].
+    pub fn run_unloaded_for(&mut self, duration_s: f64) -> Result<()> {
+        self.push(&Loads::default())?;
+        self.run(duration_s, |_, _| Ok(()))
+    }
+
+    /// Runs on for `duration_s`; `load` is told the time before each tick.
+    fn run(&mut self, duration_s: f64, load: impl Fn(&mut Self, f64) -> Result<()>) -> Result<()> {
         let ticks = whole(duration_s / self.period_s);
         self.rows.reserve(usize::try_from(ticks)?);
         for tick in 0..ticks {
             #[expect(clippy::cast_precision_loss, reason = "tick counts are far below 2^53")]
             let t_s = tick as f64 * self.period_s;
-            self.tick(&loads(t_s))?;
+            load(self, t_s)?;
+            self.tick()?;
             if self.stopped.is_some() {
                 break;
             }
@@ -320,6 +327,9 @@ impl Rig {
     }
 
     fn push(&mut self, loads: &Loads) -> Result<()> {
+        if *loads == self.loads {
+            return Ok(());
+        }
         let robot = self.robot();
         for (taxel, &force_n) in loads.taxel_n.iter().enumerate() {
             if robot.press(taxel, force_n).is_err() {
@@ -332,10 +342,7 @@ impl Rig {
     }
 
     /// One tick, and the mode after it.
-    fn tick(&mut self, loads: &Loads) -> Result<Mode> {
-        if !loads.are(&self.loads) {
-            self.push(loads)?;
-        }
+    fn tick(&mut self) -> Result<Mode> {
         if let Some(flight) = self.flight.filter(|flight| flight.row <= self.rows.len())
             && let Some(last) = self.rows.last()
         {
@@ -377,7 +384,7 @@ impl Rig {
             flange_world: sample.flange_position_world,
             flange_quaternion: sample.flange_quaternion_world,
             flange_desired_world: sample.flange_desired_position_world,
-            flange_wrench_world: loads.flange_world,
+            flange_wrench_world: self.loads.flange_world,
             flange_wrench_felt_world: sample.flange_wrench_world,
             wrench_true,
             wrench_sensed: sample.cover_wrench_base,

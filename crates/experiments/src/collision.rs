@@ -1,6 +1,6 @@
 //! Experiment C: the flange is led sideways, the base follows, and a person stands in its way.
 
-use crate::closed_loop::{Loads, Rig, Row};
+use crate::closed_loop::{Rig, Row};
 use crate::measure::{Measures, peak_force_n};
 use crate::parallel;
 use crate::run_info::{RunInfo, wrench_text};
@@ -146,7 +146,7 @@ pub fn single(settings: &Settings) -> Result<Report> {
 pub fn once(settings: &Settings) -> Result<Rig> {
     let mut rig = Rig::start(settings, &settings.collision_scene()?)?;
     rig.move_target(towards_person(settings))?;
-    rig.run_for(settings.duration_s, |_| Loads::default())?;
+    rig.run_unloaded_for(settings.duration_s)?;
     Ok(rig)
 }
 

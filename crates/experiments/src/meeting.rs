@@ -63,7 +63,7 @@ impl Meeting {
         loop {
             match rig.rows.last().map(|row| self.hand(settings, row)) {
                 Some(hand) => rig.run_for(LOOK_S, hand)?,
-                None => rig.run_for(LOOK_S, |_| Loads::default())?,
+                None => rig.run_unloaded_for(LOOK_S)?,
             }
             first = first.or_else(|| rig.rows.iter().position(|row| row.total_force_n > 0.0));
             let seen_s =
