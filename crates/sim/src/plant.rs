@@ -81,6 +81,8 @@ pub struct SimPlant {
     /// The gripper, if there is one. Apart, because it is large and rare.
     gripper: Option<Box<Gripper>>,
     pressed_n: [f64; K],
+    /// Any of them is above zero.
+    is_pressed: bool,
     /// In the last step.
     felt: Felt,
     /// Mean over the steps of the last period.
@@ -128,6 +130,7 @@ impl SimPlant {
             }),
             gripper: None,
             pressed_n: [0.0; K],
+            is_pressed: false,
             felt: Felt::NOTHING,
             taxel_force_mean_n: [0.0; K],
             contact_peak_n: 0.0,
@@ -149,24 +152,22 @@ impl SimPlant {
     /// is the true one if the scene has a sensor for it, else `None`.
     pub fn state(&self) -> RobotState<MAX_JOINTS> {
         let (qpos, qvel) = (self.mechanics.positions(), self.mechanics.rates());
-        let mut state = RobotState {
-            base_pose_world: self.scene.base_pose_world,
-            base_velocity_world: [0.0; 3],
-            q_rad: self.scene.arm_posture_rad,
-            dq_rad_s: [0.0; MAX_JOINTS],
-            torque_measured_nm: self.torque_nm,
-            flange_wrench_world: self.scene.flange_sensor.then_some(self.flange_wrench_world),
-        };
-        if let Some(motion) = self.base_motion() {
-            let Motion { pose, velocity } = self.link.reported(motion);
-            (state.base_pose_world, state.base_velocity_world) = (pose, velocity);
-        }
+        let (mut q_rad, mut dq_rad_s) = (self.scene.arm_posture_rad, [0.0; MAX_JOINTS]);
         if let Some(dof) = self.arm_dof {
             let joints = ..self.scene.arm.joints;
-            state.q_rad[joints].copy_from_slice(&qpos[dof..][joints]);
-            state.dq_rad_s[joints].copy_from_slice(&qvel[dof..][joints]);
+            q_rad[joints].copy_from_slice(&qpos[dof..][joints]);
+            dq_rad_s[joints].copy_from_slice(&qvel[dof..][joints]);
         }
-        state
+        let at_rest = Motion { pose: self.scene.base_pose_world, velocity: [0.0; 3] };
+        let motion = self.base_motion().map_or(at_rest, |motion| self.link.reported(motion));
+        RobotState {
+            base_pose_world: motion.pose,
+            base_velocity_world: motion.velocity,
+            q_rad,
+            dq_rad_s,
+            torque_measured_nm: self.torque_nm,
+            flange_wrench_world: self.scene.flange_sensor.then_some(self.flange_wrench_world),
+        }
     }
 
     /// Takes a command for the following steps. Until the first one the plant brakes.
@@ -327,6 +328,7 @@ impl SimPlant {
             return Err(SimError::Load { name: "press, N", value: force_n, min: 0.0, max: PRESS_MAX_N });
         }
         *pressed = force_n;
+        self.is_pressed = self.pressed_n.iter().any(|force_n| *force_n > 0.0);
         Ok(())
     }
 
@@ -486,7 +488,9 @@ impl SimPlant {
         let cover = CoverInstant::new(&self.scene, &self.outline, step, (pose_world, velocity_world));
         let felt = &mut self.felt;
         *felt = Felt::NOTHING;
-        felt.sensed(&self.scene, &self.outline, &self.pressed_n[..self.scene.cover.len()]);
+        if self.is_pressed {
+            felt.sensed(&self.scene, &self.outline, &self.pressed_n[..self.scene.cover.len()]);
+        }
         felt.push_base = felt.wrench_base;
         let time_s = mechanics.time_s() + if step.from_the_middle { 0.5 * step.dt_s } else { 0.0 };
         self.people.touch(&cover, time_s, mechanics.positions(), mechanics.rates(), felt);
