@@ -14,7 +14,7 @@ use heapless::Vec;
 use moca_msgs::{
     Actuation, ArmLink, Fault, Link, Mode, Outcome, Refusal, Request, RobotCommand, RobotState, Sample,
 };
-use moca_wbc::{ControlError, ControlOutput};
+use moca_wbc::{ControlError, ControlOutput, FlangePose};
 
 /// The parts of a running robot, and nothing that knows how the tick is timed or who watches.
 pub struct ControlLoop<P, S> {
@@ -334,12 +334,12 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
 
         let arm = output.filter(|_| motion.parts().has_arm());
         sample.flange_wrench_world = arm.map_or([0.0; 6], |output| output.flange_wrench_world);
-        sample.flange_position_world = arm.map_or([0.0; 3], |output| output.flange.position_world);
-        sample.flange_quaternion_world = arm.map_or([0.0; 4], |output| output.flange.quaternion_world);
-        sample.flange_desired_position_world =
-            arm.map_or([0.0; 3], |output| output.flange_desired.position_world);
-        sample.flange_desired_quaternion_world =
-            arm.map_or([0.0; 4], |output| output.flange_desired.quaternion_world);
+        let flange = arm.map_or(&NOWHERE, |output| &output.flange);
+        sample.flange_position_world = flange.position_world;
+        sample.flange_quaternion_world = flange.quaternion_world;
+        let desired = arm.map_or(&NOWHERE, |output| &output.flange_desired);
+        sample.flange_desired_position_world = desired.position_world;
+        sample.flange_desired_quaternion_world = desired.quaternion_world;
     }
 
     /// Writes every other field of the sample.
@@ -378,6 +378,9 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         fill(&mut sample.arm_torque_nm, command.map_or(&[], |command| &command.arm_torque_nm[joints]));
     }
 }
+
+/// Flange of a robot without an arm.
+const NOWHERE: FlangePose = FlangePose { position_world: [0.0; 3], quaternion_world: [0.0; 4] };
 
 const fn command_of(actuation: &Actuation<JOINTS>) -> Option<&RobotCommand<JOINTS>> {
     match actuation {

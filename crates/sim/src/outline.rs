@@ -192,7 +192,7 @@ impl Outline {
     /// Shares of the taxels in a circle of `radius_m` that is `depth_m` deep at `nearest`: by the depth of the gap
     /// under it, integrated over what each taxel answers for (a Winkler foundation, circle and corner as parabolas).
     pub(crate) fn shares(&self, nearest: &Nearest, depth_m: f64, radius_m: f64) -> Shares {
-        let mut pressed = [0.0; K];
+        let mut shares = Shares([0.0; K]);
         let mut bare = 0.0;
         for forward in [true, false] {
             let (mut strip, mut left_m) = (nearest.strip, nearest.along_m);
@@ -205,7 +205,7 @@ impl Outline {
                 let end_m = (slope + (slope * slope + 2.0 * bend * depth_m).max(0.0).sqrt()) / bend;
                 let s = end_m.min(left_m);
                 let area = depth_m * s + (0.5 * slope - bend * s / 6.0) * s * s;
-                *self.strips[strip].taxel.map_or(&mut bare, |taxel| &mut pressed[taxel]) += area;
+                *self.strips[strip].taxel.map_or(&mut bare, |taxel| &mut shares.0[taxel]) += area;
                 if end_m <= left_m {
                     break;
                 }
@@ -215,12 +215,12 @@ impl Outline {
                 left_m = self.strips[strip].length_m;
             }
         }
-        let areas = &mut pressed[..self.taxel_outward.len()];
+        let areas = &mut shares.0[..self.taxel_outward.len()];
         let total = areas.iter().sum::<f64>() + bare;
         for area in areas {
             *area = if total > 0.0 { *area / total } else { 0.0 };
         }
-        Shares(pressed)
+        shares
     }
 
     /// Middles of the `count` plates of one side that are nearest to a place, axes of B, m, T1 first; none of the others, and fewer where

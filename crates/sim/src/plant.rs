@@ -158,11 +158,16 @@ impl SimPlant {
             q_rad[joints].copy_from_slice(&qpos[dof..][joints]);
             dq_rad_s[joints].copy_from_slice(&qvel[dof..][joints]);
         }
-        let at_rest = Motion { pose: self.scene.base_pose_world, velocity: [0.0; 3] };
-        let motion = self.base_motion().map_or(at_rest, |motion| self.link.reported(motion));
+        let (base_pose_world, base_velocity_world) = match self.base_motion() {
+            Some(motion) => {
+                let Motion { pose, velocity } = self.link.reported(motion);
+                (pose, velocity)
+            }
+            None => (self.scene.base_pose_world, [0.0; 3]),
+        };
         RobotState {
-            base_pose_world: motion.pose,
-            base_velocity_world: motion.velocity,
+            base_pose_world,
+            base_velocity_world,
             q_rad,
             dq_rad_s,
             torque_measured_nm: self.torque_nm,
