@@ -404,8 +404,8 @@ mod tests {
     use crate::robot::FlangeSensorKind;
     use crate::stage::Untimed;
     use moca_msgs::BoardFault;
-    use moca_msgs::TaxelStatus;
     use moca_msgs::mode::FlangeTare;
+    use moca_msgs::{TaxelReading, TaxelStatus};
 
     /// Stands still; remembers the last order and refuses it if told to. Its flange sensor, if it has one, trembles by 2^-10 N.
     #[derive(Default)]
@@ -544,6 +544,26 @@ mod tests {
         let sample = step(&mut used, 2);
         assert_eq!(sample, step(&mut fresh, 2));
         assert!(sample.q_rad.is_empty() && sample.arm_torque_nm.is_empty(), "none is not zero");
+    }
+
+    #[test]
+    fn unwatched_tick_tells_motion_mode_and_touch_as_ever() {
+        let (mut watched, mut alone) = (armed(), armed());
+        alone.watched = false;
+        let touched = TaxelReading { force_n: 4.0, status: TaxelStatus::Ok };
+        for control in [&mut watched, &mut alone] {
+            control.cover.0.poll.reading.taxels[2] = touched;
+            control.plant.torque_nm = [1.0; JOINTS];
+        }
+        let (before, shown) = (alone.ticked().clone(), step(&mut watched, 9));
+        let told = step(&mut alone, 9);
+        assert_eq!(told.taxels[2], touched);
+        assert_eq!((told.mode, &told.taxels, &told.q_rad), (shown.mode, &shown.taxels, &shown.q_rad));
+        let flange = |sample: &Sample| (sample.flange_position_world, sample.flange_desired_position_world);
+        assert_eq!(flange(&told), flange(&shown));
+        let base = |sample: &Sample| (sample.base_pose_world, sample.base_velocity_command_body);
+        assert_eq!(base(&told), base(&shown));
+        assert_eq!((told.tick, alone.ticked().input), (before.sample.tick, before.input), "not written");
     }
 
     #[test]
