@@ -103,6 +103,14 @@ impl<T: Scalar> Add for TurningInertia<T> {
     }
 }
 
+/// Sines and cosines of angles, rad. How many is not known here, so that compilers leave the loop a loop.
+#[inline(never)]
+fn sin_cos<T: Scalar>(angles: &[T], sines: &mut [T], cosines: &mut [T]) {
+    for ((angle, sin), cos) in angles.iter().zip(sines).zip(cosines) {
+        (*sin, *cos) = angle.sin_cos_abreast();
+    }
+}
+
 /// Sine and cosine of a turn about a coordinate axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Turn<T> {
@@ -130,9 +138,7 @@ impl<T: Scalar> Turn<T> {
                 _ => first,
             });
             let (mut sines, mut cosines) = ([T::zero(); LANES], [T::zero(); LANES]);
-            for lane in 0..LANES {
-                (sines[lane], cosines[lane]) = angles[lane].sin_cos_abreast();
-            }
+            sin_cos(&angles, &mut sines, &mut cosines);
             for lane in 0..LANES {
                 let (turn, i) = (Self { sin: sines[lane], cos: cosines[lane] }, LANES * group + lane);
                 if i == 0 {

@@ -102,7 +102,13 @@ fn moments<const D: usize, T: Scalar>(determinant: &[T; D]) -> [T; D] {
     for group in &POLES {
         add_poles(&mut sums, determinant, group);
     }
-    sums.map(|lanes| lanes.iter().fold(T::zero(), |sum, &lane| sum + lane))
+    sums.map(|lanes| total(&lanes))
+}
+
+/// Sum over the lanes. Its code is short, and once for all moments.
+#[inline(never)]
+fn total<T: Scalar>(lanes: &[T; LANES]) -> T {
+    lanes.iter().fold(T::zero(), |sum, &lane| sum + lane)
 }
 
 /// Adds some poles' share of every moment: into memory, lane beside lane, which is what makes compilers take them at once.
