@@ -27,6 +27,8 @@ pub mod parallel;
 pub mod run_info;
 pub mod settings;
 pub mod sweep;
+#[cfg(feature = "timed")]
+pub mod timed;
 
 /// The free robot that the daemon simulates by default.
 pub fn free_scene() -> Scene {

@@ -8,6 +8,7 @@ use moca_control::config::{Config, HandConfig};
 use moca_experiments::closed_loop::armed;
 use moca_experiments::count;
 use moca_experiments::cpu_time::timed;
+use moca_experiments::timed::loop_tick;
 use moca_lockstep::simulated_robot::free_scene;
 use moca_lockstep::touch_board::ByteCover;
 use moca_lockstep::virtual_boards::board_config;
@@ -75,7 +76,7 @@ fn row(size: usize, turns: usize) -> Result<Row> {
         let ((), tick_s) = timed(|| {
             for robot in (0..rounds).flat_map(|_| 0..size) {
                 for _ in 0..TICKS {
-                    robots[robot].tick(None);
+                    loop_tick(&mut robots[robot]);
                 }
             }
         });

@@ -3,6 +3,7 @@
 use anyhow::{Context, Result};
 use moca_control::config::Config;
 use moca_experiments::cpu_time;
+use moca_experiments::timed::{Timed as _, arm_step, base_step};
 use moca_wbc::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_wbc::{
     ArmController, ArmInput, BaseController, BaseGuard, BaseInput, ControlInput, ControlLaw, Payload,
@@ -49,16 +50,16 @@ pub(super) fn measure(config: &Config) -> Result<ControlCost> {
     let arm_input = ArmInput { robot, flange_wrench_world: None, dt_s };
     Ok(ControlCost {
         whole_body_us: fastest_us(|| {
-            let output = whole.step(ControlLaw::Impedance, &mut whole_state, black_box(&whole_input));
+            let output = f64::step(&whole, &mut whole_state, black_box(&whole_input));
             black_box(output.context("whole body")?);
             Ok(())
         })?,
         base_alone_us: fastest_us(|| {
-            black_box(base.step(&mut base_state, black_box(&base_input)).context("base alone")?);
+            black_box(base_step(&base, &mut base_state, black_box(&base_input)).context("base alone")?);
             Ok(())
         })?,
         arm_alone_us: fastest_us(|| {
-            black_box(arm.step(&mut arm_state, black_box(&arm_input)).context("arm alone")?);
+            black_box(arm_step(&arm, &mut arm_state, black_box(&arm_input)).context("arm alone")?);
             Ok(())
         })?,
     })

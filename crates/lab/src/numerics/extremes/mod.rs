@@ -2,11 +2,12 @@
 //! verdict.
 
 use crate::study::{self, Answer, Column};
+use moca_experiments::timed::{Controller, Timed as _};
 use moca_experiments::{JOINTS, TAXELS};
 use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER};
 use moca_msgs::{Limits, Parameters, Payload, RobotState};
 use moca_wbc::testing::accuracy::{Case, Reference, Step, accuracy, admitted};
-use moca_wbc::{ControlInput, ControlLaw, ControllerState, WholeBodyController, rotation};
+use moca_wbc::{ControlInput, ControlLaw, ControllerState, rotation};
 use serde::Serialize;
 use std::hint::black_box;
 use std::time::Instant;
@@ -146,7 +147,7 @@ fn strong_push() -> anyhow::Result<Row> {
     let mut strong = input(at_home());
     strong.taxel_force_n[5] = 1e4;
     let (controller, mut state) = entered()?;
-    let output = controller.step(ControlLaw::Impedance, &mut state, &strong)?;
+    let output = f64::step(&controller, &mut state, &strong)?;
     let believed = output.cover_wrench_base[0].abs();
     let most = Limits::for_arm(&PANDA).taxel_force_n;
     Ok(Row {
@@ -183,7 +184,7 @@ fn not_finite() -> anyhow::Result<Vec<Row>> {
             let mut input = input(at_home());
             spoil(&mut input, bad);
             let mut after = state;
-            let outcome = controller.step(ControlLaw::Impedance, &mut after, &input);
+            let outcome = f64::step(&controller, &mut after, &input);
             passed &= outcome.is_err() && after == state;
             verdict = outcome.err().map_or("accepted".into(), |error| format!("refused: {error}"));
         }
@@ -210,8 +211,8 @@ fn sign_flip() -> anyhow::Result<Row> {
     let mut error = 0.0_f64;
     for _ in 0..100 {
         let input = input(at_home());
-        let a = controller.step(ControlLaw::Impedance, &mut plus, &input)?.command.arm_torque_nm;
-        let b = controller.step(ControlLaw::Impedance, &mut minus, &input)?.command.arm_torque_nm;
+        let a = f64::step(&controller, &mut plus, &input)?.command.arm_torque_nm;
+        let b = f64::step(&controller, &mut minus, &input)?.command.arm_torque_nm;
         error = a.iter().zip(b).fold(error, |worst, (a, b)| worst.max((a - b).abs()));
     }
     Ok(Row {
@@ -262,18 +263,18 @@ fn timed(parameters: &Parameters<JOINTS>, input: &ControlInput<JOINTS, TAXELS>) 
     for _ in 0..PASSES {
         let start = Instant::now();
         for _ in 0..STEPS {
-            black_box(controller.step(ControlLaw::Impedance, &mut state, black_box(input))?);
+            black_box(f64::step(&controller, &mut state, black_box(input))?);
         }
         least = least.min(start.elapsed().as_secs_f64() * 1e9 / f64::from(STEPS));
     }
     Ok(least)
 }
 
-fn controller(parameters: &Parameters<JOINTS>) -> anyhow::Result<WholeBodyController<JOINTS, TAXELS>> {
-    Ok(WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, parameters)?)
+fn controller(parameters: &Parameters<JOINTS>) -> anyhow::Result<Controller> {
+    Ok(Controller::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, parameters)?)
 }
 
-fn entered() -> anyhow::Result<(WholeBodyController<JOINTS, TAXELS>, ControllerState<JOINTS>)> {
+fn entered() -> anyhow::Result<(Controller, ControllerState<JOINTS>)> {
     let controller = controller(&Parameters::PAPER)?;
     let state = controller.enter(ControlLaw::Impedance, &at_home())?;
     Ok((controller, state))

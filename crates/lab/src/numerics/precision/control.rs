@@ -6,6 +6,7 @@ use anyhow::Result;
 use moca_experiments::closed_loop::Rig;
 use moca_experiments::cpu_time;
 use moca_experiments::settings::Settings;
+use moca_experiments::timed::Timed as _;
 use moca_experiments::{JOINTS, TAXELS, free_scene, state_in};
 use moca_msgs::{Actuation, Law, RobotState};
 use moca_sim::SimPlant;
@@ -358,13 +359,11 @@ pub(crate) fn single_precision() -> Result<(f64, f64, f64)> {
         let mut state = double.enter(ControlLaw::Impedance, first)?;
         let mut state32 = single.enter(ControlLaw::Impedance, &narrow(first))?;
         let (torques, cpu_s) = cpu_time::timed(|| {
-            let step =
-                |input| Ok(double.step(ControlLaw::Impedance, &mut state, input)?.command.arm_torque_nm);
+            let step = |input| Ok(f64::step(&double, &mut state, input)?.command.arm_torque_nm);
             inputs.iter().map(step).collect::<Result<Vec<_>>>()
         });
         let (torques32, cpu32_s) = cpu_time::timed(|| {
-            let step =
-                |input| Ok(single.step(ControlLaw::Impedance, &mut state32, input)?.command.arm_torque_nm);
+            let step = |input| Ok(f32::step(&single, &mut state32, input)?.command.arm_torque_nm);
             inputs32.iter().map(step).collect::<Result<Vec<_>>>()
         });
         least = [least[0].min(cpu_s), least[1].min(cpu32_s)];
@@ -388,8 +387,7 @@ fn states() -> Result<Vec<RobotState<JOINTS>>> {
         let mut taxel_force_n = [0.0; TAXELS];
         taxel_force_n[2] = if tick < 400 { 20.0 } else { 0.0 };
         let input = ControlInput::new(robot, taxel_force_n, 1e-3);
-        plant
-            .apply(&Actuation::Drive(controller.step(ControlLaw::Impedance, &mut state, &input)?.command))?;
+        plant.apply(&Actuation::Drive(f64::step(&controller, &mut state, &input)?.command))?;
         plant.step()?;
         states.push(robot);
     }

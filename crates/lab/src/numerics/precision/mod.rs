@@ -9,10 +9,9 @@ use crate::cover::characterize;
 use crate::picture::{Picture as _, Width};
 use crate::study::{Answer, Column, table};
 use anyhow::{Context, Result};
-use moca_experiments::{JOINTS, TAXELS};
+use moca_experiments::timed::Controller;
 use moca_msgs::Parameters;
 use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, Payload};
-use moca_wbc::WholeBodyController;
 use serde::Serialize;
 use std::path::PathBuf;
 
@@ -76,8 +75,8 @@ fn measure(quick: bool) -> Result<Report> {
     })
 }
 
-fn controller<T: moca_wbc::Scalar>() -> Result<WholeBodyController<JOINTS, TAXELS, T>> {
-    Ok(WholeBodyController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER)?)
+fn controller<T: moca_wbc::Scalar>() -> Result<Controller<T>> {
+    Ok(Controller::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &Parameters::PAPER)?)
 }
 
 const POINTS: &[Column<plant::Point>] = &[

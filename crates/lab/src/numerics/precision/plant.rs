@@ -9,6 +9,7 @@ use moca_experiments::TAXELS;
 use moca_experiments::count;
 use moca_experiments::cpu_time;
 use moca_experiments::free_scene;
+use moca_experiments::timed::Timed as _;
 use moca_figures::progress::Progress;
 use moca_msgs::Actuation;
 use moca_sim::foam::Foam;
@@ -105,7 +106,7 @@ fn play(scene: &Scene, integrator: Integrator, step_ms: f64, base_velocity: Opti
         let mut taxel_force_n = [0.0; TAXELS];
         taxel_force_n[2] = if tick < 100 { 20.0 } else { 0.0 };
         let input = ControlInput::new(robot, taxel_force_n, GRID_S);
-        let mut command = controller.step(ControlLaw::Impedance, &mut state, &input)?.command;
+        let mut command = f64::step(&controller, &mut state, &input)?.command;
         if let Some(base_velocity) = base_velocity {
             command.base_velocity_body = base_velocity;
         }

@@ -5,12 +5,13 @@ use moca_control::cover::{CoverSource, CoverState};
 use moca_experiments::collision;
 use moca_experiments::cpu_time;
 use moca_experiments::settings::Settings;
+use moca_experiments::timed::{Controller, Timed};
 use moca_experiments::{JOINTS, TAXELS, count, state_in};
 use moca_lockstep::ideal_cover::IdealCover;
 use moca_msgs::robot::{MOCA_MOUNT, PANDA, PAPER_COVER, Payload};
 use moca_msgs::{Actuation, RobotCommand, RobotState};
 use moca_sim::SimPlant;
-use moca_wbc::{ControlInput, ControlLaw, Scalar, WholeBodyController};
+use moca_wbc::{ControlInput, ControlLaw};
 
 /// Result of a run.
 pub(super) struct Run {
@@ -39,16 +40,10 @@ impl Run {
 }
 
 /// The collision with the ideal sensor: all that the law is told and remembers is in the scalar `T`, the plant in f64.
-pub(super) fn run<T: Scalar>(settings: &Settings, narrow: fn(f64) -> T, widen: fn(T) -> f64) -> Result<Run> {
+pub(super) fn run<T: Timed>(settings: &Settings, narrow: fn(f64) -> T, widen: fn(T) -> f64) -> Result<Run> {
     let scene = settings.collision_scene()?;
     let (mut plant, parameters) = (SimPlant::new(&scene)?, settings.config.parameters());
-    let law = WholeBodyController::<JOINTS, TAXELS, T>::new(
-        &PANDA,
-        &MOCA_MOUNT,
-        &Payload::NONE,
-        &PAPER_COVER,
-        &parameters.resized(),
-    )?;
+    let law = Controller::<T>::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &PAPER_COVER, &parameters.resized())?;
     let rate_hz = f64::from(settings.config.control_loop.rate_hz);
     let state = |plant: &SimPlant| -> RobotState<JOINTS, T> { state_in(&plant.state().resized(), narrow) };
     let mut memory = law.enter(ControlLaw::Impedance, &state(&plant))?;
@@ -66,7 +61,7 @@ pub(super) fn run<T: Scalar>(settings: &Settings, narrow: fn(f64) -> T, widen: f
         cover.read(now_ns, &mut felt);
         let felt_n = felt.poll.forces.ok().context("a cover that always feels")?;
         let input = ControlInput::new(state(&plant), taxels(&felt_n, narrow), narrow(1.0 / rate_hz));
-        let output = law.step(ControlLaw::Impedance, &mut memory, &input)?;
+        let output = T::step(&law, &mut memory, &input)?;
         plant.apply(&Actuation::Drive(RobotCommand {
             base_velocity_body: output.command.base_velocity_body.map(widen),
             arm_torque_nm: output.command.arm_torque_nm.map(widen),

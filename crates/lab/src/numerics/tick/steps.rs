@@ -10,6 +10,7 @@ use moca_daemon::runtime::notice::Silent;
 use moca_daemon::runtime::options::Options;
 use moca_daemon::runtime::run::live_simulated;
 use moca_experiments::parallel::Count;
+use moca_experiments::timed::robot_step;
 use moca_figures::progress;
 use moca_wbc::testing::footprint::{self, Footprint};
 use moca_wbc::testing::steps::{Case, Steps};
@@ -65,7 +66,7 @@ fn row(case: Case) -> Result<Row> {
     for _ in 0..PASSES {
         let start = Instant::now();
         for robot in 0..Steps::ROBOTS {
-            black_box(steps.step(robot)?);
+            black_box(robot_step(&mut steps, robot)?);
         }
         #[expect(clippy::cast_precision_loss, reason = "a small constant")]
         passes.push(start.elapsed().as_secs_f64() * 1e9 / Steps::ROBOTS as f64);
@@ -77,7 +78,7 @@ fn row(case: Case) -> Result<Row> {
         others.iter_mut().step_by(64).for_each(|byte| *byte = byte.wrapping_add(1));
         black_box(&mut others);
         let start = Instant::now();
-        black_box(steps.step(robot)?);
+        black_box(robot_step(&mut steps, robot)?);
         cold.push(start.elapsed().as_secs_f64() * 1e9);
     }
     cold.sort_by(f64::total_cmp);

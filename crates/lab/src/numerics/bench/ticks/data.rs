@@ -2,53 +2,33 @@
 
 use anyhow::{Context as _, bail};
 use moca_experiments::JOINTS;
+use moca_experiments::timed::ticks::{Input, Ticker};
 use moca_msgs::robot::LinkInertial;
 use moca_msgs::{ArmTable, Mount, Payload};
+use moca_wbc::model::ArmModel;
+use moca_wbc::opspace::{AxisWeight, BlockWeight};
 use nalgebra::{Matrix3, Vector3};
 use std::path::Path;
 
-/// Model, parameters, inputs and torques of an independent implementation.
+/// Ticks, their inputs and the torques of an independent implementation.
 pub(super) struct Anchor {
-    pub arm: ArmTable<JOINTS>,
-    pub mount: Mount,
-    pub virtual_mass: [f64; 3],
-    pub weight_base: [f64; 3],
-    pub weight_arm: [f64; JOINTS],
-    pub stiffness: [f64; 6],
-    pub damping: [f64; 6],
-    pub posture_stiffness: [f64; JOINTS],
-    pub posture_damping: [f64; JOINTS],
-    pub posture: [f64; JOINTS],
+    pub ticker: Ticker,
     pub inputs: Vec<Input>,
     pub references: Vec<[f64; 10]>,
 }
 
 /// One row of inputs.csv.
-#[derive(Clone, Copy)]
-pub(super) struct Input {
-    pub base_pose: [f64; 3],
-    pub q: [f64; JOINTS],
-    pub base_rate: [f64; 3],
-    pub dq: [f64; JOINTS],
-    pub desired_rotation: Matrix3<f64>,
-    pub desired_position: Vector3<f64>,
-    pub twist: [f64; 6],
-    pub cover: [f64; 3],
-}
-
-impl Input {
-    fn read(row: &mut Row) -> anyhow::Result<Self> {
-        Ok(Self {
-            base_pose: row.take()?,
-            q: row.take()?,
-            base_rate: row.take()?,
-            dq: row.take()?,
-            desired_rotation: Matrix3::from_row_slice(&row.take::<9>()?),
-            desired_position: Vector3::from(row.take()?),
-            twist: row.take()?,
-            cover: row.take()?,
-        })
-    }
+fn input(row: &mut Row) -> anyhow::Result<Input> {
+    Ok(Input {
+        base_pose: row.take()?,
+        q: row.take()?,
+        base_rate: row.take()?,
+        dq: row.take()?,
+        desired_rotation: Matrix3::from_row_slice(&row.take::<9>()?),
+        desired_position: Vector3::from(row.take()?),
+        twist: row.take()?,
+        cover: row.take()?,
+    })
 }
 
 impl Anchor {
@@ -56,20 +36,24 @@ impl Anchor {
         let mut parameters = rows(folder, "params.csv")?;
         let Some(row) = parameters.first_mut() else { bail!("params.csv is empty") };
         let mount = Mount { position_base_m: row.take()?, rpy_rad: [0.0; 3] };
+        let model = ArmModel::new(&arm(&mut rows(folder, "model.csv")?)?, &mount, &Payload::NONE)?;
         let virtual_mass = row.take()?;
         let (weight_base, weight_arm) = (row.take()?, row.take()?);
-        let anchor = Self {
-            arm: arm(&mut rows(folder, "model.csv")?)?,
-            mount,
+        let (eta_base, eta_arm) = block(&weight_base, &weight_arm).unwrap_or((1.0, 1.0));
+        let ticker = Ticker {
+            model,
             virtual_mass,
-            weight_base,
-            weight_arm,
+            block: BlockWeight::new(eta_base, eta_arm),
+            general: AxisWeight::new(weight_base, weight_arm)?,
             stiffness: row.take()?,
             damping: row.take()?,
             posture_stiffness: row.take()?,
             posture_damping: row.take()?,
             posture: row.take()?,
-            inputs: rows(folder, "inputs.csv")?.iter_mut().map(Input::read).collect::<anyhow::Result<_>>()?,
+        };
+        let anchor = Self {
+            ticker,
+            inputs: rows(folder, "inputs.csv")?.iter_mut().map(input).collect::<anyhow::Result<_>>()?,
             references: rows(folder, "ref.csv")?.iter_mut().map(Row::take).collect::<anyhow::Result<_>>()?,
         };
         if anchor.inputs.len() != anchor.references.len() || anchor.inputs.is_empty() {
@@ -81,14 +65,14 @@ impl Anchor {
         }
         Ok(anchor)
     }
+}
 
-    /// η_B and η_A if H has one value per block, eq. (9).
-    #[expect(clippy::float_cmp, reason = "a block is a block only if its values are the same number")]
-    pub(super) fn block(&self) -> Option<(f64, f64)> {
-        let (base, arm) = (self.weight_base[0], self.weight_arm[0]);
-        let same = self.weight_base.iter().all(|w| *w == base) && self.weight_arm.iter().all(|w| *w == arm);
-        same.then_some((base, arm))
-    }
+/// η_B and η_A if H has one value per block, eq. (9).
+#[expect(clippy::float_cmp, reason = "a block is a block only if its values are the same number")]
+fn block(weight_base: &[f64; 3], weight_arm: &[f64; JOINTS]) -> Option<(f64, f64)> {
+    let (base, arm) = (weight_base[0], weight_arm[0]);
+    let same = weight_base.iter().all(|w| *w == base) && weight_arm.iter().all(|w| *w == arm);
+    same.then_some((base, arm))
 }
 
 /// Joints and tool frame of model.csv as a table; rotations become fixed-axis angles.
