@@ -20,6 +20,8 @@ use std::{
     time::Duration,
 };
 
+const FEATURES: &[&str] = if cfg!(feature = "accessible") { &["accessible"] } else { &[] };
+
 /// Shows a MOCA-S robot: its cover, its motion, its health; and passes on what you ask.
 #[derive(Parser)]
 #[command(version)]
@@ -99,7 +101,7 @@ fn size(text: &str) -> anyhow::Result<egui::Vec2> {
 const KEPT_BYTES: usize = 16 << 20;
 
 fn main() -> anyhow::Result<()> {
-    let arguments: Arguments = moca_manual::parse("moca-monitor", &[]);
+    let arguments: Arguments = moca_manual::parse("moca-monitor", FEATURES);
     // glibc gives freed memory back to the kernel beyond twice the largest block freed so far (mallopt(3)); a picture's
     // triangles would be paged in anew each time, a third of its cost. These bytes are never touched.
     drop(std::hint::black_box(Vec::<u8>::with_capacity(KEPT_BYTES)));
