@@ -45,17 +45,18 @@ pub fn damping<T: Scalar>(
     stiffness: &[T; 6],
     ratio: T,
 ) -> Result<SMatrix<T, 6, 6>, ControlError> {
-    damping_of(*inverse_task_inertia, stiffness, ratio)
+    let mut root = *inverse_task_inertia;
+    damping_of(&mut root, stiffness, ratio)
 }
 
-/// [`damping`] of a matrix that nobody needs any longer.
+/// [`damping`] of a matrix that nobody needs any longer; it becomes its inverse square root.
 #[inline]
 pub(crate) fn damping_of<T: Scalar>(
-    mut root: SMatrix<T, 6, 6>,
+    root: &mut SMatrix<T, 6, 6>,
     stiffness: &[T; 6],
     ratio: T,
 ) -> Result<SMatrix<T, 6, 6>, ControlError> {
-    if !become_inverse_square_root(&mut root) {
+    if !become_inverse_square_root(root) {
         return Err(ControlError::NotPositiveDefinite { what: "J M⁻¹ Jᵀ" });
     }
     let k = stiffness.map(nalgebra::ComplexField::sqrt);

@@ -19,7 +19,7 @@
 use crate::linalg::Cholesky;
 use crate::model::{ArmModel, Dynamics};
 use crate::opspace::WholeBodyForce;
-use crate::scalar::{Scalar, all, of};
+use crate::scalar::{Scalar, all, of, same};
 use crate::spatial::Inertia;
 use moca_msgs::BaseTable;
 use nalgebra::{SMatrix, Vector3};
@@ -86,11 +86,16 @@ impl<const N: usize, T: Scalar> CoupledDynamics<N, T> {
         force: &WholeBodyForce<N, T>,
         (added_base, added_arm): (&[T; 3], &[T; N]),
     ) -> Option<([T; 3], [T; N])> {
-        let (mut mass, mut base) = (self.arm.mass, self.base);
-        for i in 0..N {
-            mass[(i, i)] += added_arm[i];
-        }
-        let factor = Cholesky::new(&mass)?;
+        let mut base = self.base;
+        let factor = if same(added_arm, &[T::zero(); N]) {
+            Cholesky::new(&self.arm.mass)?
+        } else {
+            let mut mass = self.arm.mass;
+            for i in 0..N {
+                mass[(i, i)] += added_arm[i];
+            }
+            Cholesky::new(&mass)?
+        };
         let [x, y, yaw] = self.arm.base_coupling.data.0;
         let columns = core::array::from_fn(|i| [x[i], y[i], yaw[i], force.arm[i] - self.arm.bias[i]]);
         let solved = factor.solve_lower_rows::<4>(&columns);

@@ -71,14 +71,14 @@ impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
         }
     }
 
-    /// F = K·e + D·ė, e saturated, and what it was computed from. `base_twist` is what the base's motion gives the tool.
-    /// eqs. (10), (16)
+    /// F = K·e + D·ė, e saturated, and what it was computed from. `base_twist` is what the base's motion gives the tool; nothing of
+    /// `inverse_task_inertia` is left. eqs. (10), (16)
     #[inline]
     pub(super) fn task_wrench(
         &self,
         state: &ArmState<N, T>,
         base_twist: &[T; 6],
-        inverse_task_inertia: SMatrix<T, 6, 6>,
+        inverse_task_inertia: &mut SMatrix<T, 6, 6>,
         hit: &mut LimitsHit,
     ) -> Result<([T; 6], Tracking<T>), ControlError> {
         let gains = &state.gains;

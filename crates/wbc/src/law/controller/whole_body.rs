@@ -327,7 +327,8 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
         let gains = &state.base.gains;
         let task = TaskDynamics::new(gains.virtual_mass, arm);
         let base = tick.kinematics.twist_from_base(&tick.robot.base_velocity_world);
-        let (wrench, tracking) = tick.task_wrench(&state.arm, &base, task.inverse_task_inertia(), hit)?;
+        let mut inverse_task_inertia = task.inverse_task_inertia();
+        let (wrench, tracking) = tick.task_wrench(&state.arm, &base, &mut inverse_task_inertia, hit)?;
         let mut null = WholeBodyForce {
             base: step.cover_world.map(|f| f * gains.reactivity),
             arm: tick.posture_torque(&state.arm),
