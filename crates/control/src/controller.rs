@@ -173,8 +173,6 @@ struct Whole<const N: usize> {
     tables: ArmTables<N>,
     controller: WholeBodyController<N, TAXELS>,
     state: Option<ControllerState<N>>,
-    /// Input of the last step. Kept because it is large, and written where it is.
-    input: ControlInput<N, TAXELS>,
 }
 
 impl<const N: usize> Whole<N> {
@@ -184,8 +182,7 @@ impl<const N: usize> Whole<N> {
         let whole = WholeBodyController::new(arm, mount, payload, &taxels, &parameters.resized())?;
         let guard = config.self_collision()?;
         let controller = guard.map_or(whole, |guard| whole.with_self_collision(guard));
-        let input = ControlInput::new(RobotState::at_rest([0.0; N]), [0.0; TAXELS], 0.0);
-        Ok(Self { tables, controller, state: None, input })
+        Ok(Self { tables, controller, state: None })
     }
 }
 
@@ -241,18 +238,16 @@ where
         input: &LawInput<'_>,
     ) -> Result<ControlOutput<JOINTS>, Fault> {
         let &LawInput { law, taxel_force_n, guard, dt_s } = input;
-        let Self { controller, state, input, .. } = self;
-        resize_into(robot, &mut input.robot);
-        input.taxel_force_n = *taxel_force_n;
-        input.dt_s = dt_s;
-        // nothing is copied of a list that only a barrier gives
-        if guard.outward_m_s.is_some() {
-            input.guard = *guard;
-        } else {
-            input.guard = BaseGuard { outward_m_s: None, ..*guard };
-        }
-        let state = entered(state, || controller.enter(law, &input.robot))?;
-        match &controller.step(law, state, input) {
+        let input = ControlInput {
+            robot: robot.resized(),
+            taxel_force_n: *taxel_force_n,
+            flange_wrench_world: None,
+            // nothing is copied of a list that only a barrier gives
+            guard: BaseGuard { outward_m_s: guard.outward_m_s.as_ref().copied(), ..*guard },
+            dt_s,
+        };
+        let state = entered(&mut self.state, || self.controller.enter(law, &input.robot))?;
+        match &self.controller.step(law, state, &input) {
             Ok(output) => Ok(ControlOutput {
                 command: output.command.resized(),
                 cover_wrench_base: output.cover_wrench_base,
@@ -303,16 +298,6 @@ where
         let (least_m, robot) = (self.controller.smallest_distance(), robot.resized());
         far_enough(least_m, request, targets, |target| self.controller.too_near_at(target, &robot))
     }
-}
-
-/// Writes `robot` with room for another number of joints, field by field: as a whole it would be copied.
-fn resize_into<const N: usize>(robot: &RobotState<JOINTS>, sized: &mut RobotState<N>) {
-    sized.base_pose_world = robot.base_pose_world;
-    sized.base_velocity_world = robot.base_velocity_world;
-    sized.q_rad = resized(&robot.q_rad);
-    sized.dq_rad_s = resized(&robot.dq_rad_s);
-    sized.torque_measured_nm = resized(&robot.torque_measured_nm);
-    sized.flange_wrench_world = robot.flange_wrench_world;
 }
 
 /// A base with a cover.
