@@ -408,8 +408,7 @@ impl<const N: usize, T: Scalar> ArmController<N, T> {
     ) -> Result<([T; N], Tracking<T>), ControlError> {
         self.advance(tick, arm, state)?;
         let mut inverse_task_inertia = *arm.inverse_task_inertia();
-        let (wrench, tracking) =
-            tick.task_wrench(state, &[T::zero(); 6], &mut inverse_task_inertia, hit)?;
+        let (wrench, tracking) = tick.task_wrench(state, &[T::zero(); 6], &mut inverse_task_inertia, hit)?;
         let torque = arm.torque(&wrench, &tick.posture_torque(state))?;
         Ok((core::array::from_fn(|i| torque[i] + tick.dynamics.bias[i]), tracking))
     }
