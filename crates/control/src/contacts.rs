@@ -51,13 +51,14 @@ impl ContactTracker {
         let dt_s = seconds(now_ns.saturating_sub(self.last_ns));
         self.last_ns = now_ns;
         let taxels = taxels.get(..self.taxels).unwrap_or(taxels);
+        let is_touch = |reading: &TaxelReading| reading.force_n > 0.0 && reading.status == TaxelStatus::Ok;
         // most of the time nobody touches
-        if !taxels.iter().any(|reading| reading.force_n > 0.0) && !self.is_touched() {
+        if !taxels.iter().any(is_touch) && !self.is_touched() {
             return false;
         }
         for (i, reading) in taxels.iter().enumerate() {
             let valid = reading.status == TaxelStatus::Ok;
-            let touched = valid && reading.force_n > 0.0;
+            let touched = is_touch(reading);
             let Some(contact) = &mut self.contacts[i] else {
                 if touched {
                     self.contacts[i] = Some(Contact::new(now_ns));
