@@ -53,12 +53,6 @@ impl CoverState {
     };
 }
 
-/// Returns true if any force is above zero, N.
-pub(crate) fn is_felt(forces_n: &[f64; TAXELS]) -> bool {
-    // no early return: several at once
-    forces_n.iter().fold(false, |felt, force_n| felt | (*force_n > 0.0))
-}
-
 /// A source of cover readings: a board's bytes, or the simulator's true forces; `None` is a robot without a cover.
 pub trait CoverSource {
     /// Takes in what has arrived until `now_ns`; `felt` becomes what the cover feels, from what it became the last time, or

@@ -6,7 +6,7 @@ use crate::compensation::Compensation;
 use crate::config::live::changed;
 use crate::config::{Config, RecentrePolicy};
 use crate::controller::{self, Controller, LawInput};
-use crate::cover::{CoverState, is_felt};
+use crate::cover::CoverState;
 use crate::flange_sensor::{FlangeReading, FlangeWrench};
 use crate::foam_recovery::FoamRecovery;
 use crate::loop_state::{Beyond, MotionState, OtherRobot};
@@ -56,8 +56,6 @@ pub struct Motion {
     parts: Parts,
     /// Motion of the base in the present tick.
     base: BaseMotion,
-    /// The cover has a force of somebody in the present tick.
-    felt: bool,
     /// Protection of the present tick.
     protected: Protected,
     /// A target moves with a twist.
@@ -115,7 +113,6 @@ impl Motion {
             object: None,
             parts,
             base: BaseMotion::default(),
-            felt: false,
             protected,
             twisted: false,
             real,
@@ -240,8 +237,7 @@ impl Motion {
         if let Some(uncovered) = &mut self.uncovered {
             uncovered.feel(cover, touched);
         }
-        self.felt = cover.poll.forces.as_ref().is_ok_and(is_felt);
-        self.recentre.feel(cover, self.felt);
+        self.recentre.feel(cover);
     }
 
     /// Returns the protection of this tick.
@@ -436,7 +432,7 @@ impl Motion {
                 return Err(Fault::TaxelInvalid { taxel: u8::try_from(taxel).unwrap_or(u8::MAX), status });
             }
         };
-        let touched = self.felt && law != ControlLaw::Hold;
+        let touched = Touch::is_in(&taxel_force_n[..self.taxels]);
         self.lead(now_ns, law, robot, touched).map_err(|_| Fault::ControlRefused)?;
         let (guard, deceleration) = (&mut self.protected.guard, self.parameters.limits.base_acceleration);
         if let Some(uncovered) = &mut self.uncovered {

@@ -129,10 +129,11 @@ impl Recentre {
         self.state.recentring = false;
     }
 
-    /// Takes in whether the cover feels anybody, however lightly; `felt` if it has a force of them.
-    pub fn feel(&mut self, cover: &CoverState, felt: bool) {
+    /// Takes in whether the cover feels anybody, however lightly.
+    pub fn feel(&mut self, cover: &CoverState) {
         let early = &cover.poll.early;
-        self.touched = felt || early.touched.iter().chain(&early.light).any(|touched| *touched);
+        self.touched = cover.poll.forces.as_ref().is_ok_and(|forces_n| Touch::is_in(forces_n))
+            || early.touched.iter().chain(&early.light).any(|touched| *touched);
     }
 
     /// Bounds the base's motion in a tick of `law`; `led` while a target leads it.

@@ -73,8 +73,18 @@ pub struct Touch {
 }
 
 impl Touch {
+    /// Returns true if any of the forces, N, is of somebody.
+    pub fn is_in(forces_n: &[f64]) -> bool {
+        // no early return: several at once
+        forces_n.iter().fold(false, |felt, force_n| felt | (*force_n > 0.0))
+    }
+
     /// The strongest of `forces_n`, T1 first; `None` where nothing is felt.
     pub fn strongest(forces_n: &[f64]) -> Option<Self> {
+        // most of the time nobody touches
+        if !Self::is_in(forces_n) {
+            return None;
+        }
         let felt = (0_u8..).zip(forces_n).filter(|(_, force_n)| **force_n > 0.0);
         felt.max_by(|a, b| a.1.total_cmp(b.1)).map(|(taxel, &force_n)| Self { taxel, force_n })
     }

@@ -1,6 +1,6 @@
 //! The loop: one tick of the robot, from state and bytes to a command.
 
-use crate::cover::{CoverSource, CoverState, is_felt};
+use crate::cover::{CoverSource, CoverState};
 use crate::flange_sensor::{FlangeReading, FlangeSensor};
 use crate::law::{self, Motion};
 use crate::loop_state::{LoopState, OtherRobot};
@@ -207,7 +207,6 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
         let taxels = ..self.motion.taxels();
         let (flange_zero, no_zero) = self.motion.flange_zero();
         let of_cover = matches!(cover.zero, Zero::Invalid | Zero::Refused);
-        let felt_n = cover.poll.forces.as_ref().ok().filter(|forces_n| is_felt(forces_n));
         let facts = Facts {
             cover_seen: cover.frames_good > 0 || !self.motion.parts().has_cover(),
             cover_fault: cover.poll.fault,
@@ -215,7 +214,7 @@ impl<P: Plant, S: CoverSource> ControlLoop<P, S> {
             zero_fault: if of_cover { Fault::ZeroInvalid } else { no_zero },
             plant_fault: robot.fault.or(flange_fault),
             far_joint: robot.state.as_ref().and_then(|state| self.motion.far_joint(state)),
-            touch: felt_n.and_then(|forces_n| Touch::strongest(&forces_n[taxels])),
+            touch: cover.poll.forces.as_ref().ok().and_then(|forces_n| Touch::strongest(&forces_n[taxels])),
         };
         let decision = self.supervisor.step(&facts, request);
         if decision.start_tare {

@@ -362,6 +362,7 @@ impl Rig {
             SensorModel::Board(lock_step) => lock_step.tick(None),
             SensorModel::True(lock_step) => lock_step.tick(None),
         };
+        // nobody watches: of the sample only motion, mode and touch are of this tick
         let sample = &ticked.sample;
         self.sim_s += self.period_s;
         self.frame_rate_hz = sample.frame_rate_hz;

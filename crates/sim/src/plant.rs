@@ -81,8 +81,6 @@ pub struct SimPlant {
     /// The gripper, if there is one. Apart, because it is large and rare.
     gripper: Option<Box<Gripper>>,
     pressed_n: [f64; K],
-    /// Any of them is above zero.
-    is_pressed: bool,
     /// In the last step.
     felt: Felt,
     /// Mean over the steps of the last period.
@@ -130,7 +128,6 @@ impl SimPlant {
             }),
             gripper: None,
             pressed_n: [0.0; K],
-            is_pressed: false,
             felt: Felt::NOTHING,
             taxel_force_mean_n: [0.0; K],
             contact_peak_n: 0.0,
@@ -333,7 +330,6 @@ impl SimPlant {
             return Err(SimError::Load { name: "press, N", value: force_n, min: 0.0, max: PRESS_MAX_N });
         }
         *pressed = force_n;
-        self.is_pressed = self.pressed_n.iter().any(|force_n| *force_n > 0.0);
         Ok(())
     }
 
@@ -493,9 +489,7 @@ impl SimPlant {
         let cover = CoverInstant::new(&self.scene, &self.outline, step, (pose_world, velocity_world));
         let felt = &mut self.felt;
         *felt = Felt::NOTHING;
-        if self.is_pressed {
-            felt.sensed(&self.scene, &self.outline, &self.pressed_n[..self.scene.cover.len()]);
-        }
+        felt.sensed(&self.scene, &self.outline, &self.pressed_n[..self.scene.cover.len()]);
         felt.push_base = felt.wrench_base;
         let time_s = mechanics.time_s() + if step.from_the_middle { 0.5 * step.dt_s } else { 0.0 };
         self.people.touch(&cover, time_s, mechanics.positions(), mechanics.rates(), felt);

@@ -128,7 +128,7 @@ impl<T: Scalar> Turn<T> {
     /// By each of `angles`, rad, and by one before them: several at once.
     #[inline]
     pub(crate) fn all<const N: usize>(first: T, angles: &[T; N]) -> (Self, [Self; N]) {
-        // two registers of doubles, in a loop too long for compilers to take it apart before they see that
+        // two registers of doubles
         const LANES: usize = 8;
         let mut turns = [Self { sin: T::zero(), cos: T::one() }; N];
         let mut of_first = Self { sin: T::zero(), cos: T::one() };

@@ -87,15 +87,18 @@ impl<const N: usize, T: Scalar> CoupledDynamics<N, T> {
         (added_base, added_arm): (&[T; 3], &[T; N]),
     ) -> Option<([T; 3], [T; N])> {
         let mut base = self.base;
-        let factor = if same(added_arm, &[T::zero(); N]) {
-            Cholesky::new(&self.arm.mass)?
+        // not copied where nothing is added
+        let mut heavier;
+        let mass = if same(added_arm, &[T::zero(); N]) {
+            &self.arm.mass
         } else {
-            let mut mass = self.arm.mass;
+            heavier = self.arm.mass;
             for i in 0..N {
-                mass[(i, i)] += added_arm[i];
+                heavier[(i, i)] += added_arm[i];
             }
-            Cholesky::new(&mass)?
+            &heavier
         };
+        let factor = Cholesky::new(mass)?;
         let [x, y, yaw] = self.arm.base_coupling.data.0;
         let columns = core::array::from_fn(|i| [x[i], y[i], yaw[i], force.arm[i] - self.arm.bias[i]]);
         let solved = factor.solve_lower_rows::<4>(&columns);
