@@ -396,7 +396,7 @@ pub fn speed_for_delay_m_s(config: &Config, force_limit_n: f64, delay_s: f64) ->
 mod tests {
     use super::*;
     use crate::config::BarrierReadings;
-    use crate::robot::PlantKind;
+    use crate::robot::{FoamKind, PlantKind};
     use moca_msgs::RobotState;
     use moca_msgs::protection::ContactPhase;
 
@@ -543,6 +543,39 @@ mod tests {
         own.protection.override_speed_limit_m_s = 0.4;
         let overridden = SpeedLimit { m_s: 0.4, reason: SpeedLimitReason::Overridden };
         assert_eq!(Loop::new(&own, NO_LIMITS).tick(true).speed_limit, overridden);
+    }
+
+    #[test]
+    fn late_base_takes_its_lateness_off_the_speed_limit() {
+        let mut config = Config::default();
+        let mut run = Loop::new(&config, NO_LIMITS);
+        run.until_frame(16);
+        run.protection.set_late(0.02);
+        let limit = run.tick(true).speed_limit;
+        assert_eq!(limit.reason, SpeedLimitReason::BaseLate);
+        let expected = speed_for_delay_m_s(&config, config.protection.force_limit_n, 0.034 + 0.02);
+        assert!((limit.m_s - expected).abs() < 1e-12, "{limit:?}");
+
+        config.robot.cover.foam = FoamKind::Hyperbolic;
+        config.protection.contact_barrier = BarrierReadings::Foam;
+        config.protection.order_delay_ms = 50.0;
+        let approach = Approach::of(&config).unwrap();
+        let mut run = Loop::new(&config, NO_LIMITS);
+        run.cover.deviation_counts = 0.684;
+        // of a frame that is 10 ms old when it comes, with a tick of 1 ms
+        let near = |limit: SpeedLimit, more_s: f64| {
+            let frames = Frames { period_s: 0.025, age_s: 0.011 + more_s, deviation_counts: 0.684 };
+            (limit.m_s - approach.speed_m_s(&frames, true)).abs() < 1e-9
+        };
+        let known = run.until_frame(16).speed_limit;
+        assert!(known.reason == SpeedLimitReason::BoardRate && near(known, 0.0), "{known:?}");
+        run.protection.set_late(0.02);
+        let late = run.tick(true).speed_limit;
+        assert!(late.reason == SpeedLimitReason::BaseLate && near(late, 0.02), "{late:?}");
+        // the next frame does not come: a reading may be 34 ms old, and a tick more
+        run.ms = 400 + 45;
+        let stale = run.silent_tick(true).speed_limit;
+        assert!(stale.reason == SpeedLimitReason::Stale && near(stale, 0.02 + 0.010), "{stale:?}");
     }
 
     const fn seconds_in_ms(ns: u64) -> u64 {

@@ -81,10 +81,6 @@ impl Touch {
 
     /// The strongest of `forces_n`, T1 first; `None` where nothing is felt.
     pub fn strongest(forces_n: &[f64]) -> Option<Self> {
-        // most of the time nobody touches
-        if !Self::is_in(forces_n) {
-            return None;
-        }
         let felt = (0_u8..).zip(forces_n).filter(|(_, force_n)| **force_n > 0.0);
         felt.max_by(|a, b| a.1.total_cmp(b.1)).map(|(taxel, &force_n)| Self { taxel, force_n })
     }
@@ -449,6 +445,16 @@ mod tests {
         Facts { plant_fault: Some(Fault::ArmRefused), zero: Zero::Invalid, ..GOOD },
         Facts { far_joint: Some((3, 0.3)), ..GOOD },
     ];
+
+    #[test]
+    fn touch_is_in_forces_of_which_any_is_above_zero() {
+        for (forces_n, expected) in
+            [(&[][..], false), (&[0.0, -1.0], false), (&[0.0, 0.1], true), (&[2.0, 3.0], true)]
+        {
+            assert_eq!(Touch::is_in(forces_n), expected, "{forces_n:?}");
+            assert_eq!(Touch::strongest(forces_n).is_some(), expected, "{forces_n:?}");
+        }
+    }
 
     #[test]
     fn zeros_together_are_the_one_that_is_further_from_valid() {
