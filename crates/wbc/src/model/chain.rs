@@ -188,15 +188,26 @@ impl<T: Scalar> Seat<T> for Square<T> {
     }
 }
 
+/// Links that are taken side by side, two registers of doubles: room for those of any arm.
+pub(crate) const ABREAST: usize = 8;
+/// C numbers of each link, each link's in a lane of their own.
+pub(crate) type Abreast<const C: usize, T> = [[T; ABREAST]; C];
+
+/// Numbers of each link, side by side; lanes without a link are zero.
+fn abreast<const N: usize, const C: usize>(of_links: &[[f64; C]; N]) -> Abreast<C, f64> {
+    core::array::from_fn(|c| core::array::from_fn(|i| of_links.get(i).map_or(0.0, |numbers| numbers[c])))
+}
+
 /// Constants of an arm of `N` revolute joints with its payload and tool.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Chain<const N: usize, T> {
     pub joints: [Joint<T>; N],
     /// Every joint is [`Square`].
     pub is_square: bool,
-    pub links: [TurningInertia<T>; N],
-    /// ∫ r·rᵀ dm of each link: xx, xy, xz, yy, yz, zz.
-    pub second_moments: [[T; 6]; N],
+    /// Rotational inertia of each link, that of its [`TurningInertia`].
+    rotational: [[T; 6]; N],
+    /// First moments of the links along x and y, and their second moments ∫ r·rᵀ dm: xx, xy, xz, yy, yz, zz.
+    pub moments: Abreast<8, T>,
     /// Flange in the last link.
     pub flange: Placement<T>,
     /// Tool frame E in the last link; the flange if there is no tool.
@@ -248,8 +259,12 @@ impl<const N: usize> Chain<N, f64> {
         Self {
             joints,
             is_square,
-            second_moments: links.map(|link| link.second_moment()),
-            links,
+            moments: abreast(&links.map(|link| {
+                let [hx, hy, _] = link.first_moment.into();
+                let [xx, xy, xz, yy, yz, zz] = link.second_moment();
+                [hx, hy, xx, xy, xz, yy, yz, zz]
+            })),
+            rotational: links.map(|link| link.rotational),
             tool: flange.then(&Placement::of(&payload.tool_origin)),
             flange,
             up: root_axes.row(2).transpose(),
@@ -269,11 +284,8 @@ impl<const N: usize> Chain<N, f64> {
                 offset: joint.offset.map(of),
             }),
             is_square: self.is_square,
-            links: self.links.map(|link| TurningInertia {
-                first_moment: link.first_moment.map(of),
-                rotational: all(&link.rotational),
-            }),
-            second_moments: self.second_moments.map(|moments| all(&moments)),
+            rotational: self.rotational.map(|rotational| all(&rotational)),
+            moments: self.moments.map(|moments| all(&moments)),
             flange: self.flange.cast(),
             tool: self.tool.cast(),
             root_axes: self.root_axes.map(of),
@@ -284,6 +296,15 @@ impl<const N: usize> Chain<N, f64> {
                 rotational: all(&self.root_body.rotational),
             },
         }
+    }
+}
+
+impl<const N: usize, T: Scalar> Chain<N, T> {
+    /// Inertia of a link that turns with its joint.
+    #[inline]
+    pub(crate) fn link(&self, i: usize) -> TurningInertia<T> {
+        let first_moment = Vector3::new(self.moments[0][i], self.moments[1][i], T::zero());
+        TurningInertia { first_moment, rotational: self.rotational[i] }
     }
 }
 

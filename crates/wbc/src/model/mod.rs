@@ -18,7 +18,7 @@
 //! # Ok::<(), moca_wbc::ParameterError>(())
 //! ```
 
-use crate::chain::{Chain, Joint, Placement, Seat, Square};
+use crate::chain::{ABREAST, Abreast, Chain, Joint, Placement, Seat, Square};
 use crate::rotation::Heading;
 use crate::scalar::{Scalar, of};
 use crate::spatial::{Inertia, Turn, TurningInertia, symmetric_times};
@@ -28,7 +28,7 @@ use nalgebra::{Matrix3, SMatrix, Vector3};
 /// Standard gravity of the model, m/s², along −z of W.
 pub const GRAVITY_M_S2: f64 = 9.81;
 
-/// Constant model of an arm of `N` revolute joints with its mount, payload and tool.
+/// Constant model of an arm of `N` revolute joints, eight at most, with its mount, payload and tool.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmModel<const N: usize, T> {
     chain: Chain<N, T>,
@@ -131,7 +131,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         rates: (T, &[T; N]),
         out: &mut Dynamics<N, T>,
     ) -> (TurningInertia<T>, (Vector3<T>, Vector3<T>)) {
-        let mut felt = [[T::zero(); 6]; N];
+        let mut felt = [[T::zero(); ABREAST]; 6];
         self.place::<S>(yaw, q, &mut out.kinematics);
         self.feel::<S>(rates, &out.kinematics.turn, &mut felt);
         let (composite, wrench) = self.bear::<S>(&felt, out);
@@ -173,18 +173,18 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
     #[inline(never)]
     fn bear<S: Seat<T>>(
         &self,
-        felt: &[Wrench<T>; N],
+        felt: &Abreast<6, T>,
         out: &mut Dynamics<N, T>,
     ) -> (TurningInertia<T>, (Vector3<T>, Vector3<T>)) {
         let kinematics = &out.kinematics;
         let mut composite = TurningInertia::zero();
         let (mut pull, mut twist) = (Vector3::zeros(), Vector3::zeros());
         for i in (0..N).rev() {
-            let [fx, fy, fz, mx, my, mz] = felt[i];
+            let [fx, fy, fz, mx, my, mz] = core::array::from_fn(|c| felt[c][i]);
             pull += Vector3::new(fx, fy, fz);
             twist += Vector3::new(mx, my, mz);
             out.bias[i] = twist.z;
-            composite = composite + self.chain.links[i];
+            composite = composite + self.chain.link(i);
             // momentum about the joint that a unit rate of it gives to everything beyond it
             let (axes, [_, _, xz, _, yz, zz]) = (&kinematics.link_axes[i], composite.rotational);
             let force = axes.column(1) * composite.first_moment.x - axes.column(0) * composite.first_moment.y;
@@ -211,44 +211,33 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         (composite, (pull, twist))
     }
 
-    /// Out along the arm that is in its place: what each link feels (force and moment about its origin, in its axes) by Newton–Euler
-    /// with zero joint accelerations on a base that turns at `yaw_rate`, constant.
-    ///
-    /// Acceleration of a body's points: that of its origin and U = \[α\]× + \[ω\]×². Then f = U·h, and the moment about the origin is
-    /// h × a and the skew part of U·Σ, Σ its second moments.
+    /// Out along the arm that is in its place: what each link feels by Newton–Euler with zero joint accelerations on a base that turns
+    /// at `yaw_rate`, constant. Only motions wait for those of the link before; what they cost is computed of all links at once.
     #[inline(never)]
-    fn feel<S: Seat<T>>(&self, (yaw_rate, dq): (T, &[T; N]), turn: &[Turn<T>; N], felt: &mut [Wrench<T>; N]) {
+    fn feel<S: Seat<T>>(&self, (yaw_rate, dq): (T, &[T; N]), turn: &[Turn<T>; N], felt: &mut Abreast<6, T>) {
+        const { assert!(N <= ABREAST, "an arm has eight joints at most") }
         let chain = &self.chain;
         let mut omega = chain.up * yaw_rate;
         let mut alpha = Vector3::zeros();
         let mut acceleration = self.root_acceleration(yaw_rate);
-        let mut u = by_turning(&omega, &alpha);
+        let mut motions = [[T::zero(); ABREAST]; 9];
         for i in 0..N {
-            let (seat, body) = (S::of(&chain.joints[i]), &chain.links[i]);
+            let seat = S::of(&chain.joints[i]);
             let turn = turn[i].back();
             let into = |v: &Vector3<T>| turn.about_z(&seat.inwards(v));
-            acceleration = into(&(acceleration + seat.offset_by(&u)));
+            acceleration = into(&(acceleration + seat.offset_by(&by_turning(&omega, &alpha))));
             omega = into(&omega);
             alpha = into(&alpha);
             alpha.x += omega.y * dq[i];
             alpha.y -= omega.x * dq[i];
             omega.z += dq[i];
-            u = by_turning(&omega, &alpha);
-            // a turning link has no first moment along its axis
-            let (hx, hy) = (body.first_moment.x, body.first_moment.y);
-            let [xx, xy, xz, yy, yz, zz] = chain.second_moments[i];
-            let row = |i: usize, [a, b, c]: [T; 3]| u[(i, 0)] * a + u[(i, 1)] * b + u[(i, 2)] * c;
-            let (of_x, of_y, of_z) = ([xx, xy, xz], [xy, yy, yz], [xz, yz, zz]);
-            let a = &acceleration;
-            felt[i] = [
-                u[(0, 0)] * hx + u[(0, 1)] * hy,
-                u[(1, 0)] * hx + u[(1, 1)] * hy,
-                u[(2, 0)] * hx + u[(2, 1)] * hy,
-                row(2, of_y) - row(1, of_z) + hy * a.z,
-                row(0, of_z) - row(2, of_x) - hx * a.z,
-                row(1, of_x) - row(0, of_y) + (hx * a.y - hy * a.x),
-            ];
+            for axis in 0..3 {
+                motions[axis][i] = omega[axis];
+                motions[3 + axis][i] = alpha[axis];
+                motions[6 + axis][i] = acceleration[axis];
+            }
         }
+        feel_abreast(&motions, &chain.moments, felt);
     }
 
     /// Acceleration of A's origin on a base that turns at `yaw_rate`, in the chain's root axes. Gravity is an upward
@@ -299,7 +288,7 @@ impl<const N: usize, T: Scalar> ArmModel<N, T> {
         let (mut momentum, mut drift) = ([T::zero(); N], [T::zero(); N]);
         let (mut linear, mut angular) = (Vector3::zeros(), Vector3::zeros());
         for i in (0..N).rev() {
-            let (body, turn) = (&chain.links[i], &kinematics.turn[i]);
+            let (body, turn) = (chain.link(i), &kinematics.turn[i]);
             let (v, w) = &twists[i];
             // a turning link has no first moment along its axis
             let (hx, hy) = (body.first_moment.x, body.first_moment.y);
@@ -359,8 +348,33 @@ pub(crate) struct Load<T> {
     pub moment: Vector3<T>,
 }
 
-/// Force and moment that keep a link on its path: about its origin, in its axes.
-type Wrench<T> = [T; 6];
+/// Forces and moments that keep links on their paths: about their origins, in their axes. `motions` are ω, α, and the acceleration of
+/// the origin; `moments` are those of [`Chain::moments`].
+///
+/// Acceleration of a body's points: that of its origin and U = \[α\]× + \[ω\]×². Then f = U·h, and the moment about the origin is
+/// h × a and the skew part of U·Σ, Σ its second moments.
+#[inline]
+fn feel_abreast<T: Scalar>(motions: &Abreast<9, T>, moments: &Abreast<8, T>, felt: &mut Abreast<6, T>) {
+    for i in 0..ABREAST {
+        let [wx, wy, wz, ax, ay, az, x, y, z] = core::array::from_fn(|c| motions[c][i]);
+        let [hx, hy, xx, xy, xz, yy, yz, zz] = core::array::from_fn(|c| moments[c][i]);
+        let u = by_turning(&Vector3::new(wx, wy, wz), &Vector3::new(ax, ay, az));
+        let row = |i: usize, [a, b, c]: [T; 3]| u[(i, 0)] * a + u[(i, 1)] * b + u[(i, 2)] * c;
+        let (of_x, of_y, of_z) = ([xx, xy, xz], [xy, yy, yz], [xz, yz, zz]);
+        // a turning link has no first moment along its axis
+        let wrench = [
+            u[(0, 0)] * hx + u[(0, 1)] * hy,
+            u[(1, 0)] * hx + u[(1, 1)] * hy,
+            u[(2, 0)] * hx + u[(2, 1)] * hy,
+            row(2, of_y) - row(1, of_z) + hy * z,
+            row(0, of_z) - row(2, of_x) - hx * z,
+            row(1, of_x) - row(0, of_y) + (hx * y - hy * x),
+        ];
+        for (felt, value) in felt.iter_mut().zip(wrench) {
+            felt[i] = value;
+        }
+    }
+}
 
 /// U = \[α\]× + \[ω\]×².
 #[inline]

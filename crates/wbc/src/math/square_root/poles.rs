@@ -11,7 +11,7 @@
 //! Σ w·s^m/det. Every coefficient and every moment is positive, so that nothing cancels where they are put together; what
 //! cancels does so where a minor is found of those with fewer rows, as in the determinant itself.
 
-use super::tridiagonal::Tridiagonal;
+use super::tridiagonal::{LARGEST, Tridiagonal};
 use crate::scalar::{Scalar, of};
 
 /// κ
@@ -65,35 +65,70 @@ pub(super) fn inverse_square_root<const D: usize, T: Scalar>(
     let minors = Minors::of(&diagonal, &squares);
     let mut definite = trace > T::zero() && minors.determinant[0] > T::zero();
     let mut trace_of_inverse = T::zero();
-    for (before, behind) in minors.before.iter().zip(&minors.behind[0]) {
+    for (before, behind) in minors.before.iter().zip(&minors.behind) {
         definite &= *before > T::zero();
-        trace_of_inverse += *before * *behind;
+        trace_of_inverse += *before * behind[0];
     }
     // NaN is neither
     if !(definite && trace_of_inverse <= of::<T>(SPAN).sqrt() * minors.determinant[0]) {
         return false;
     }
-    let (mut of_row, mut of_last, mut square) = (moments(&minors.determinant), [T::zero(); D], T::zero());
-    for j in 0..D {
-        let mut row = [T::zero(); D];
-        // of this row and those behind it only so many coefficients are not zero
-        for (behind, &moment) in minors.behind.iter().zip(&of_row).take(D - j) {
-            row = core::array::from_fn(|i| row[i] + moment * behind[i]);
-        }
-        let mut beside_them = scale.sqrt();
+    let of_row = moments(&minors.determinant);
+    let mut rows = Rows { minors: &minors, of_row, of_last: [T::zero(); D], scale: scale.sqrt() };
+    each_row::<D>(|j| rows.write(j, (&diagonal, &beside, &squares), root));
+    true
+}
+
+/// Calls `f` for each row, written out instead of a loop: compilers then know which of a row's numbers are zero.
+#[inline(always)]
+fn each_row<const D: usize>(mut f: impl FnMut(usize)) {
+    const { assert!(D <= LARGEST, "rows that it knows") }
+    macro_rules! rows {
+        ($($row:literal)*) => { $(if D > $row { f($row); })* };
+    }
+    rows!(0 1 2 3 4 5);
+}
+
+/// What the rows of T^(−1/2) are made of, one after the other.
+struct Rows<'a, const D: usize, T> {
+    minors: &'a Minors<D, T>,
+    /// Moments of the minor before the next row, and before the last one.
+    of_row: [T; D],
+    of_last: [T; D],
+    /// Square root of the scale.
+    scale: T,
+}
+
+impl<const D: usize, T: Scalar> Rows<'_, D, T> {
+    /// Writes row `j` and column `j`, from the diagonal on.
+    #[inline(always)]
+    fn write(
+        &mut self,
+        j: usize,
+        (diagonal, beside, squares): (&[T; D], &[T; D], &[T; D]),
+        root: &mut [[T; D]; D],
+    ) {
+        let mut beside_them = self.scale;
         for i in j..D {
-            root[j][i] = beside_them * row[i];
+            let behind = &self.minors.behind[i];
+            let mut sum = behind[0] * self.of_row[0];
+            for m in 1..D - i {
+                sum += behind[m] * self.of_row[m];
+            }
+            root[j][i] = beside_them * sum;
             root[i][j] = root[j][i];
             beside_them *= -beside[i];
         }
         // the minor before the next row, as it is of this and the last one; of its last moments nobody asks
-        let next = core::array::from_fn(|m| {
-            let higher = if m + 1 < D { of_row[m + 1] } else { T::zero() };
-            diagonal[j] * of_row[m] + higher - square * of_last[m]
-        });
-        (of_row, of_last, square) = (next, of_row, squares[j]);
+        let mut next = [T::zero(); D];
+        for m in 0..D - 1 - j {
+            next[m] = diagonal[j] * self.of_row[m] + self.of_row[m + 1];
+            if j > 0 {
+                next[m] -= squares[j - 1] * self.of_last[m];
+            }
+        }
+        (self.of_row, self.of_last) = (next, self.of_row);
     }
-    true
 }
 
 /// Σ w·s^m/det(T + s) over the poles, for m from 0 on, of the determinant's coefficients.
@@ -134,7 +169,7 @@ fn add_poles<const D: usize, T: Scalar>(
 struct Minors<const D: usize, T> {
     /// Product of the rows before each, at s = 0.
     before: [T; D],
-    /// Coefficients of those of the rows behind each: of every row's s^0, then of s^1 and on.
+    /// Coefficients of those of the rows behind each, from s^0 on: one for each of these rows, and a 1.
     behind: [[T; D]; D],
     /// Coefficients of the determinant from s^0 on; that of s^D, which is 1, is left out.
     determinant: [T; D],
@@ -152,22 +187,38 @@ impl<const D: usize, T: Scalar> Minors<D, T> {
             (last, one_less) = (diagonal[i] * last - square * one_less, last);
             square = squares[i];
         }
-        let (mut last, mut one_less, mut square) = ([zero; D], [zero; D], zero);
+        let (mut last, mut one_less) = ([zero; D], [zero; D]);
         last[0] = T::one();
-        for i in (0..D).rev() {
-            for m in 0..D - i {
-                minors.behind[m][i] = last[m];
-            }
-            // (d + s) times the one with a row less, less b² times the one with two
-            let next = core::array::from_fn(|m| {
-                let lower = if m > 0 { last[m - 1] } else { zero };
-                diagonal[i] * last[m] + lower - square * one_less[m]
-            });
-            (last, one_less) = (next, last);
-            square = if i > 0 { squares[i - 1] } else { zero };
-        }
+        each_row::<D>(|row| minors.add_row(row, (diagonal, squares), (&mut last, &mut one_less)));
         minors.determinant = last;
         minors
+    }
+
+    /// Puts a row before the `row` last ones: `last` becomes the minor with it, `one_less` the one without.
+    #[inline(always)]
+    fn add_row(
+        &mut self,
+        row: usize,
+        (diagonal, squares): (&[T; D], &[T; D]),
+        (last, one_less): (&mut [T; D], &mut [T; D]),
+    ) {
+        let i = D - 1 - row;
+        self.behind[i] = *last;
+        // (d + s) times the one with a row less, less b² times the one with two
+        let mut next = [T::zero(); D];
+        for m in 0..row + 1 {
+            next[m] = diagonal[i] * last[m];
+            if m > 0 {
+                next[m] += last[m - 1];
+            }
+            if m < row {
+                next[m] -= squares[i] * one_less[m];
+            }
+        }
+        if row + 1 < D {
+            next[row + 1] = T::one();
+        }
+        (*last, *one_less) = (next, *last);
     }
 }
 

@@ -81,7 +81,7 @@ impl<const D: usize, T: Scalar> Tridiagonal<D, T> {
 }
 
 /// Rows of the largest matrix.
-const LARGEST: usize = 6;
+pub(super) const LARGEST: usize = 6;
 
 /// Columns of a reflected matrix that are wanted.
 #[derive(Clone, Copy, PartialEq, Eq)]
