@@ -315,6 +315,17 @@ mod tests {
     }
 
     #[test]
+    fn span_is_that_of_the_trace_times_the_inverses_trace() {
+        let has_root = |least: f64| {
+            let mut t = Tridiagonal::of(&[[0.0; 2]; 2]);
+            t.diagonal = [1.0, least];
+            root_of(&t).is_some()
+        };
+        // 2 + least + 1/least
+        assert!(has_root(1.001 / SPAN) && !has_root(0.999 / SPAN));
+    }
+
+    #[test]
     fn what_is_not_definite_or_no_number_has_no_root_here() {
         let none = |diagonal: [f64; 3], beside: [f64; 3]| {
             let mut t = Tridiagonal::of(&[[0.0; 3]; 3]);
