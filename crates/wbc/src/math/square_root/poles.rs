@@ -89,7 +89,7 @@ fn each_row<const D: usize>(mut f: impl FnMut(usize)) {
     rows!(0 1 2 3 4 5);
 }
 
-/// What the rows of T^(−1/2) are made of, one after the other.
+/// State of the rows of T^(−1/2), written one after the other.
 struct Rows<'a, const D: usize, T> {
     minors: &'a Minors<D, T>,
     /// Moments of the minor before the next row, and before the last one.
