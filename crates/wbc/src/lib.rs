@@ -77,7 +77,7 @@
 //! | M_v = 0.01 … 1000 kg | stable; with `null_space_damping` below 0.5 kg refused: it would chatter on any real servo |
 //! | D_v = 0 | exact integration; stable in free air, never in contact with a delay ([`contact_stability`]) |
 //! | steps of 0.1 … 10 ms | eq. (2) exact for D·dt/M to 1e5; later steps integrate 10 ms, limits credit one period |
-//! | K_d = 1e5 N/m | rings at the torque-rate limit, flange within 0.2 mm |
+//! | K_d = 1e5 N/m | rings at the torque-rate limit, flange within 1 mm, and within 0.2 mm from four starts of five |
 //! | 1e4 N on a taxel | taken as `taxel_force_n`, and reported in [`LimitsHit`] |
 //! | NaN or infinity in any input | [`ControlError`] naming the input; the state is as it was |
 //! | quaternion q or −q | one rotation |
