@@ -27,6 +27,12 @@ pub fn at_home() -> RobotState<7> {
     RobotState { flange_wrench_world: Some([0.0; 6]), ..RobotState::at_rest(PANDA.home_rad) }
 }
 
+/// Joint angles within 1e-10 rad of `q_rad`, others for each `start`; the first are `q_rad`.
+pub fn near(q_rad: [f64; 7], start: u32) -> [f64; 7] {
+    let shares = [1.0, -0.7, 0.3, 0.9, -0.2, 0.5, 0.8];
+    std::array::from_fn(|i| q_rad[i] + 1e-12 * shares[i] * f64::from(start))
+}
+
 /// Forces on the robot at one instant.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Push {
