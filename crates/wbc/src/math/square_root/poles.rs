@@ -73,9 +73,29 @@ pub(super) fn inverse_square_root<const D: usize, T: Scalar>(
     if !(definite && trace_of_inverse <= of::<T>(SPAN).sqrt() * minors.determinant[0]) {
         return false;
     }
-    let of_row = moments(&minors.determinant);
-    let mut rows = Rows { minors: &minors, of_row, of_last: [T::zero(); D], scale: scale.sqrt() };
-    each_row::<D>(|j| rows.write(j, (&diagonal, &beside, &squares), root));
+    let (mut of_row, mut of_last) = (moments(&minors.determinant), [T::zero(); D]);
+    each_row::<D>(|j| {
+        let mut beside_them = scale.sqrt();
+        for i in j..D {
+            let behind = &minors.behind[i];
+            let mut sum = behind[0] * of_row[0];
+            for m in 1..D - i {
+                sum += behind[m] * of_row[m];
+            }
+            root[j][i] = beside_them * sum;
+            root[i][j] = root[j][i];
+            beside_them *= -beside[i];
+        }
+        // the minor before the next row, as it is of this and the last one; of its last moments nobody asks
+        let mut next = [T::zero(); D];
+        for m in 0..D - 1 - j {
+            next[m] = diagonal[j] * of_row[m] + of_row[m + 1];
+            if j > 0 {
+                next[m] -= squares[j - 1] * of_last[m];
+            }
+        }
+        (of_row, of_last) = (next, of_row);
+    });
     true
 }
 
@@ -87,48 +107,6 @@ fn each_row<const D: usize>(mut f: impl FnMut(usize)) {
         ($($row:literal)*) => { $(if D > $row { f($row); })* };
     }
     rows!(0 1 2 3 4 5);
-}
-
-/// State of the rows of T^(−1/2), written one after the other.
-struct Rows<'a, const D: usize, T> {
-    minors: &'a Minors<D, T>,
-    /// Moments of the minor before the next row, and before the last one.
-    of_row: [T; D],
-    of_last: [T; D],
-    /// Square root of the scale.
-    scale: T,
-}
-
-impl<const D: usize, T: Scalar> Rows<'_, D, T> {
-    /// Writes row `j` and column `j`, from the diagonal on.
-    #[inline(always)]
-    fn write(
-        &mut self,
-        j: usize,
-        (diagonal, beside, squares): (&[T; D], &[T; D], &[T; D]),
-        root: &mut [[T; D]; D],
-    ) {
-        let mut beside_them = self.scale;
-        for i in j..D {
-            let behind = &self.minors.behind[i];
-            let mut sum = behind[0] * self.of_row[0];
-            for m in 1..D - i {
-                sum += behind[m] * self.of_row[m];
-            }
-            root[j][i] = beside_them * sum;
-            root[i][j] = root[j][i];
-            beside_them *= -beside[i];
-        }
-        // the minor before the next row, as it is of this and the last one; of its last moments nobody asks
-        let mut next = [T::zero(); D];
-        for m in 0..D - 1 - j {
-            next[m] = diagonal[j] * self.of_row[m] + self.of_row[m + 1];
-            if j > 0 {
-                next[m] -= squares[j - 1] * self.of_last[m];
-            }
-        }
-        (self.of_row, self.of_last) = (next, self.of_row);
-    }
 }
 
 /// Σ w·s^m/det(T + s) over the poles, for m from 0 on, of the determinant's coefficients.
@@ -189,36 +167,27 @@ impl<const D: usize, T: Scalar> Minors<D, T> {
         }
         let (mut last, mut one_less) = ([zero; D], [zero; D]);
         last[0] = T::one();
-        each_row::<D>(|row| minors.add_row(row, (diagonal, squares), (&mut last, &mut one_less)));
+        each_row::<D>(|row| {
+            let i = D - 1 - row;
+            minors.behind[i] = last;
+            // (d + s) times the one with a row less, less b² times the one with two
+            let mut next = [zero; D];
+            for m in 0..row + 1 {
+                next[m] = diagonal[i] * last[m];
+                if m > 0 {
+                    next[m] += last[m - 1];
+                }
+                if m < row {
+                    next[m] -= squares[i] * one_less[m];
+                }
+            }
+            if row + 1 < D {
+                next[row + 1] = T::one();
+            }
+            (last, one_less) = (next, last);
+        });
         minors.determinant = last;
         minors
-    }
-
-    /// Puts a row before the `row` last ones: `last` becomes the minor with it, `one_less` the one without.
-    #[inline(always)]
-    fn add_row(
-        &mut self,
-        row: usize,
-        (diagonal, squares): (&[T; D], &[T; D]),
-        (last, one_less): (&mut [T; D], &mut [T; D]),
-    ) {
-        let i = D - 1 - row;
-        self.behind[i] = *last;
-        // (d + s) times the one with a row less, less b² times the one with two
-        let mut next = [T::zero(); D];
-        for m in 0..row + 1 {
-            next[m] = diagonal[i] * last[m];
-            if m > 0 {
-                next[m] += last[m - 1];
-            }
-            if m < row {
-                next[m] -= squares[i] * one_less[m];
-            }
-        }
-        if row + 1 < D {
-            next[row + 1] = T::one();
-        }
-        (*last, *one_less) = (next, *last);
     }
 }
 
