@@ -12,6 +12,7 @@ use moca_wbc::contact_barrier::{
     STOP_SHARE, TOUCH_N, TaxelSample,
 };
 use moca_wbc::reach::ArmReach;
+use moca_wbc::rotation::Heading;
 use moca_wbc::{ArmModel, ControlError, FlangePose};
 use serde::{Deserialize, Serialize};
 
@@ -271,7 +272,7 @@ pub(super) struct BaseMotion {
 impl BaseMotion {
     /// Takes it from a state.
     pub(super) fn of(robot: &RobotState<JOINTS>) -> Self {
-        let turn = robot.base_pose_world[2].sin_cos();
+        let turn = Heading::at(robot.base_pose_world[2]).sin_cos();
         let [vx_world, vy_world, yaw_rate] = robot.base_velocity_world;
         let [vx, vy] = turned_back(turn, [vx_world, vy_world]);
         Self { turn, velocity_body: [vx, vy, yaw_rate] }

@@ -6,6 +6,7 @@ use crate::mechanics::Mechanics;
 use crate::outline::{Nearest, Outline};
 use crate::scene::{Mobility, Person, Scene, Shape};
 use moca_msgs::{MAX_TAXELS, TaxelPlacement};
+use moca_wbc::rotation::Heading;
 
 /// Room for the largest cover.
 const K: usize = MAX_TAXELS;
@@ -56,7 +57,7 @@ impl<'a> CoverInstant<'a> {
             foam: &scene.foam,
             step,
             pose_world,
-            heading: pose_world[2].sin_cos(),
+            heading: Heading::at(pose_world[2]).sin_cos(),
             velocity_world,
         }
     }

@@ -212,20 +212,34 @@ pub fn weighted_outer<const R: usize, const C: usize, T: Scalar>(
     weights: &[T; C],
 ) -> SMatrix<T, R, R> {
     let mut out = [[T::zero(); R]; R];
-    for (column, &w) in a.data.0.iter().zip(weights) {
-        for j in 0..R {
-            let scale = column[j] * w;
-            for i in j..R {
-                out[j][i] += scale * column[i];
-            }
-        }
-    }
+    // as many at once as there are registers for
+    add_outer::<0, 2, R, T>(&mut out, &a.data.0, weights);
+    add_outer::<2, R, R, T>(&mut out, &a.data.0, weights);
     for j in 0..R {
-        for i in 0..j {
+        for i in 0..j / 2 * 2 {
             out[j][i] = out[i][j];
         }
     }
     SMatrix::from(out)
+}
+
+/// Adds Σ weights_k·columns_k·columns_kᵀ to the columns FROM to TO, at and below the diagonal. How many there are to add is not known
+/// here, so that compilers leave the loop a loop.
+#[inline(never)]
+fn add_outer<const FROM: usize, const TO: usize, const R: usize, T: Scalar>(
+    out: &mut [[T; R]; R],
+    columns: &[[T; R]],
+    weights: &[T],
+) {
+    for (column, &weight) in columns.iter().zip(weights) {
+        for j in FROM..TO.min(R) {
+            let scale = column[j] * weight;
+            // in pairs: above the diagonal there is one more now and then
+            for i in j / 2 * 2..R {
+                out[j][i] += scale * column[i];
+            }
+        }
+    }
 }
 
 /// A·x for an R×C matrix.
@@ -240,7 +254,17 @@ pub fn transpose_times<const R: usize, const C: usize, T: Scalar>(
     a: &SMatrix<T, R, C>,
     x: &[T; R],
 ) -> [T; C] {
-    core::array::from_fn(|i| dot(&a.data.0[i], x))
+    let mut out = [T::zero(); C];
+    dots(&mut out, &a.data.0, x);
+    out
+}
+
+/// Products of columns with x. How many there are is not known here, so that compilers leave the loop a loop.
+#[inline(never)]
+fn dots<const R: usize, T: Scalar>(out: &mut [T], columns: &[[T; R]], x: &[T; R]) {
+    for (out, column) in out.iter_mut().zip(columns) {
+        *out = dot(column, x);
+    }
 }
 
 /// Σ weights_k·rows_k.

@@ -16,7 +16,7 @@
 //! # Ok::<(), moca_wbc::ParameterError>(())
 //! ```
 
-use crate::linalg::Cholesky;
+use crate::linalg::{Cholesky, dot};
 use crate::model::{ArmModel, Dynamics};
 use crate::opspace::WholeBodyForce;
 use crate::scalar::{Scalar, all, of, same};
@@ -80,47 +80,47 @@ impl<const N: usize, T: Scalar> CoupledDynamics<N, T> {
     /// under forces on every joint, with inertias (kg, kg·m²) added to theirs, as implicit dampers and springs do. `None`
     /// if the matrix is not positive definite, or not finite.
     ///
-    /// The arm is eliminated first, so that what is factorised are its own block and a 3×3 one.
+    /// The base is eliminated first, whose block is almost diagonal: what is left to be factorised is the arm's.
     pub fn acceleration(
         &self,
         force: &WholeBodyForce<N, T>,
         (added_base, added_arm): (&[T; 3], &[T; N]),
     ) -> Option<([T; 3], [T; N])> {
-        let mut base = self.base;
-        // not copied where nothing is added
-        let mut heavier;
-        let mass = if same(added_arm, &[T::zero(); N]) {
-            &self.arm.mass
-        } else {
-            heavier = self.arm.mass;
-            for i in 0..N {
-                heavier[(i, i)] += added_arm[i];
-            }
-            &heavier
-        };
-        let factor = Cholesky::new(mass)?;
+        // x and y do not know of each other, yaw knows of both
         let [x, y, yaw] = self.arm.base_coupling.data.0;
-        let columns = core::array::from_fn(|i| [x[i], y[i], yaw[i], force.arm[i] - self.arm.bias[i]]);
-        let solved = factor.solve_lower_rows::<4>(&columns);
-        let mut left: [T; 3] = core::array::from_fn(|i| force.base[i] - self.base_bias[i]);
-        for (row, &inverse) in solved.iter().zip(factor.inverse_diagonal()) {
-            for i in 0..3 {
-                let scaled = row[i] * inverse;
-                left[i] -= scaled * row[3];
-                for j in i..3 {
-                    base[(j, i)] -= scaled * row[j];
-                }
+        let [_, _, [to_x, to_y, yaw_block]] = self.base.data.0;
+        let [pivot_x, pivot_y] = core::array::from_fn(|i| self.base[(i, i)] + added_base[i]);
+        let (inverse_x, inverse_y) = (T::one() / pivot_x, T::one() / pivot_y);
+        let (of_x, of_y) = (to_x * inverse_x, to_y * inverse_y);
+        let pivot_yaw = yaw_block + added_base[2] - (to_x * of_x + to_y * of_y);
+        let inverse_yaw = T::one() / pivot_yaw;
+        if !((pivot_x > T::zero()) & (pivot_y > T::zero()) & (pivot_yaw > T::zero())) {
+            return None;
+        }
+        let yaw: [T; N] = core::array::from_fn(|i| yaw[i] - (of_x * x[i] + of_y * y[i]));
+        let [left_x, left_y, left_yaw] = core::array::from_fn(|i| force.base[i] - self.base_bias[i]);
+        let left_yaw = left_yaw - (of_x * left_x + of_y * left_y);
+        let left: [T; N] = core::array::from_fn(|i| {
+            let by_base =
+                x[i] * (inverse_x * left_x) + y[i] * (inverse_y * left_y) + yaw[i] * (inverse_yaw * left_yaw);
+            force.arm[i] - self.arm.bias[i] - by_base
+        });
+        // column by column, which compilers take at once
+        let column = |j: usize| {
+            let [x_j, y_j, yaw_j] = [x[j] * inverse_x, y[j] * inverse_y, yaw[j] * inverse_yaw];
+            core::array::from_fn(|i| self.arm.mass[(i, j)] - (x[i] * x_j + y[i] * y_j + yaw[i] * yaw_j))
+        };
+        let mut mass = SMatrix::<T, N, N>::from(core::array::from_fn(column));
+        if !same(added_arm, &[T::zero(); N]) {
+            for i in 0..N {
+                mass[(i, i)] += added_arm[i];
             }
         }
-        for i in 0..3 {
-            base[(i, i)] += added_base[i];
-        }
-        let base = Cholesky::new(&base)?.solve(&left);
-        let rest = core::array::from_fn(|i| {
-            let [x, y, yaw, own] = solved[i];
-            [(own - x * base[0] - y * base[1] - yaw * base[2]) * factor.inverse_diagonal()[i]]
-        });
-        Some((base, factor.solve_upper_rows::<1>(&rest).map(|[value]| value)))
+        let arm = Cholesky::new(&mass)?.solve(&left);
+        let base_yaw = (left_yaw - dot(&yaw, &arm)) * inverse_yaw;
+        let base_x = (left_x - dot(&x, &arm)) * inverse_x - of_x * base_yaw;
+        let base_y = (left_y - dot(&y, &arm)) * inverse_y - of_y * base_yaw;
+        Some(([base_x, base_y, base_yaw], arm))
     }
 }
 

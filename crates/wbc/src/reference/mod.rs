@@ -168,7 +168,8 @@ impl<T: Scalar> Reference<T> {
         if self.now == self.target && self.twist == [T::zero(); 6] {
             return;
         }
-        let near = (self.now.position - actual.position).norm() < of(ERROR_SATURATION_M);
+        let near = (self.now.position - actual.position).norm_squared()
+            < of(ERROR_SATURATION_M * ERROR_SATURATION_M);
         let (_, angular) = split(&self.twist);
         let is_turning = angular != Vector3::zeros();
         // most that are led keep their axes: what only a turn asks for waits for one
@@ -220,8 +221,8 @@ fn split<T: Scalar>([vx, vy, vz, wx, wy, wz]: &[T; 6]) -> (Vector3<T>, Vector3<T
 
 /// `v`, or a vector of length `most` that points the same way.
 fn shortened<T: Scalar>(v: &Vector3<T>, most: T) -> Vector3<T> {
-    let length = v.norm();
-    if length > most { v * (most / length) } else { *v }
+    let square = v.norm_squared();
+    if square > most * most { v * (most / square.sqrt()) } else { *v }
 }
 
 /// `rotation` turned by a rotation vector in the outer axes, and made orthonormal again.

@@ -91,9 +91,9 @@ impl<const N: usize, T: Scalar> ArmTick<'_, N, T> {
         hit.error_saturation = saturated;
         let arm_twist = times(self.kinematics.arm_jacobian(), &self.robot.dq_rad_s);
         let wanted = self.desired_twist(state);
-        let rate = core::array::from_fn(|i| wanted[i] - base_twist[i] - arm_twist[i]);
-        let damping = impedance::damping_of(inverse_task_inertia, &gains.stiffness, gains.damping_ratio)?;
-        let wrench = impedance::wrench(&gains.stiffness, &damping, &saturated_error, &rate);
+        let rate: [T; 6] = core::array::from_fn(|i| wanted[i] - base_twist[i] - arm_twist[i]);
+        let damped = impedance::damped(inverse_task_inertia, &gains.stiffness, gains.damping_ratio, &rate)?;
+        let wrench = core::array::from_fn(|i| gains.stiffness[i] * saturated_error[i] + damped[i]);
         Ok((wrench, Tracking { error, arm_twist }))
     }
 

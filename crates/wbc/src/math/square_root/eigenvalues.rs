@@ -2,39 +2,42 @@
 //! 8.3.3), a 6×6 matrix in about 9. Slower than the poles, and for any condition.
 
 use super::tridiagonal::Tridiagonal;
+use crate::linalg::{combined, weighted_outer};
 use crate::scalar::{Scalar, of};
 use nalgebra::SMatrix;
 
 /// Steps after which it is given up, of each row of the matrix. A step costs a row, seldom two.
 const MOST_STEPS: usize = 8;
 
-/// A^(−1/2) of a tridiagonal T turned to A.
+/// B, D rows of C numbers, becomes T^(−1/2)·B of a tridiagonal T; false if that has no root.
 #[cold]
 #[inline(never)]
-pub(super) fn inverse_square_root<const D: usize, T: Scalar>(
+pub(super) fn times_inverse_square_root<const C: usize, const D: usize, T: Scalar>(
     t: &Tridiagonal<D, T>,
-) -> Option<SMatrix<T, D, D>> {
+    b: &mut [[T; C]; D],
+) -> bool {
     let trace = t.trace();
     if !(trace > T::zero() && trace.is_finite()) {
-        return None;
+        return false;
     }
-    let vectors = t.turned(SMatrix::<T, D, D>::identity().data.0);
+    let vectors = SMatrix::<T, D, D>::identity().data.0;
     let mut eigen = Eigen { diagonal: t.diagonal, beside: t.beside, vectors };
     if !eigen.is_made_diagonal() {
-        return None;
+        return false;
     }
     let least = trace * T::default_epsilon() * of(16.0);
     let mut columns = eigen.vectors;
     for (column, &value) in columns.iter_mut().zip(&eigen.diagonal) {
         // not a number is never diagonal
         if value < -least * of(100.0) {
-            return None;
+            return false;
         }
         let scale = T::one() / value.max(least).sqrt().sqrt();
         *column = column.map(|x| x * scale);
     }
-    let unit = [T::one(); D];
-    Some(crate::linalg::weighted_outer(&SMatrix::from(columns), &unit))
+    let root = weighted_outer(&SMatrix::from(columns), &[T::one(); D]);
+    *b = root.data.0.map(|row| combined(b, &row));
+    true
 }
 
 /// V·T·Vᵀ on the way to a diagonal T.

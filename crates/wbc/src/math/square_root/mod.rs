@@ -27,21 +27,31 @@ use tridiagonal::Tridiagonal;
 /// A^(−1/2) of a symmetric positive-definite matrix; `None` if it is not even semi-definite, or not finite. A direction
 /// whose eigenvalue is lost in rounding, below 16·ε of the trace, is taken to have that one.
 pub fn inverse_square_root<const D: usize, T: Scalar>(a: &SMatrix<T, D, D>) -> Option<SMatrix<T, D, D>> {
-    let mut root = *a;
-    become_inverse_square_root(&mut root).then_some(root)
+    let mut root = SMatrix::<T, D, D>::identity();
+    times_inverse_square_root(&mut a.clone(), &mut root.data.0).then_some(root)
 }
 
-/// `a` becomes what [`inverse_square_root`] gives; false if that is `None`. Returned, it would be copied.
+/// B, D rows of C numbers, becomes A^(−1/2)·B; false if [`inverse_square_root`] has none. Nothing of A is left.
 #[inline(never)]
-pub(crate) fn become_inverse_square_root<const D: usize, T: Scalar>(a: &mut SMatrix<T, D, D>) -> bool {
+pub(crate) fn times_inverse_square_root<const C: usize, const D: usize, T: Scalar>(
+    a: &mut SMatrix<T, D, D>,
+    b: &mut [[T; C]; D],
+) -> bool {
     let mut t = Tridiagonal::unset();
     t.reduce(&mut a.data.0);
-    if poles::inverse_square_root(&t, &mut a.data.0) {
-        t.turn_back(&mut a.data.0);
-        return true;
+    t.turn_there(b);
+    let found = poles::times_inverse_square_root(&t, b) || eigenvalues::times_inverse_square_root(&t, b);
+    t.turn_back(b);
+    found
+}
+
+/// aᵀ·b, every other product apart: half as many sums one after another.
+#[inline]
+fn in_pairs<const D: usize, T: Scalar>(a: &[T; D], b: &[T; D]) -> T {
+    let products: [T; D] = core::array::from_fn(|i| a[i] * b[i]);
+    let mut sums = [T::zero(); 2];
+    for (i, &product) in products.iter().enumerate() {
+        sums[i % 2] += product;
     }
-    eigenvalues::inverse_square_root(&t).is_some_and(|root| {
-        *a = root;
-        true
-    })
+    sums[0] + sums[1]
 }

@@ -9,7 +9,8 @@
 //! Entry (i, j) of (T + s)⁻¹ is the minor before row j times the one behind row i over the determinant, times what stands beside
 //! the diagonal from j to i. Minors are polynomials in s, so that of all poles only n moments are needed, those of w/det(T + s):
 //! Σ w·s^m/det. Every coefficient and every moment is positive, so that nothing cancels where they are put together; what
-//! cancels does so where a minor is found of those with fewer rows, as in the determinant itself.
+//! cancels does so where a minor is found of those with fewer rows, as in the determinant itself. Of T^(−1/2)·B, entries are put
+//! together only where they are summed up: B's rows before each row, a power of s each, then those behind it.
 
 use super::tridiagonal::{LARGEST, Tridiagonal};
 use crate::scalar::{Scalar, of};
@@ -51,12 +52,12 @@ const POLES: [[[f64; LANES]; 2]; 2 * HALF.len() / LANES] = {
     poles
 };
 
-/// `root` becomes T^(−1/2), exact but for rounding; false unless T is positive definite and its trace times that of T⁻¹ at
-/// most κ: no eigenvalue is then above the one, nor below the inverse of the other.
+/// B, D rows of C numbers, becomes T^(−1/2)·B, exact but for rounding; false, and B as it was, unless T is positive definite
+/// and its trace times that of T⁻¹ at most κ: no eigenvalue is then above the one, nor below the inverse of the other.
 #[inline]
-pub(super) fn inverse_square_root<const D: usize, T: Scalar>(
+pub(super) fn times_inverse_square_root<const C: usize, const D: usize, T: Scalar>(
     t: &Tridiagonal<D, T>,
-    root: &mut [[T; D]; D],
+    b: &mut [[T; C]; D],
 ) -> bool {
     let trace = t.trace();
     let scale = of::<T>(SPAN).sqrt() / trace;
@@ -73,30 +74,70 @@ pub(super) fn inverse_square_root<const D: usize, T: Scalar>(
     if !(definite && trace_of_inverse <= of::<T>(SPAN).sqrt() * minors.determinant[0]) {
         return false;
     }
+    let behind = &minors.behind;
     let (mut of_row, mut of_last) = (moments(&minors.determinant), [T::zero(); D]);
-    each_row::<D>(|j| {
-        let mut beside_them = scale.sqrt();
-        for i in j..D {
-            let behind = &minors.behind[i];
-            let mut sum = behind[0] * of_row[0];
-            for m in 1..D - i {
-                sum += behind[m] * of_row[m];
-            }
-            root[j][i] = beside_them * sum;
-            root[i][j] = root[j][i];
-            beside_them *= -beside[i];
+    let (mut of_rows, mut sums) = ([[T::zero(); D]; D], [[T::zero(); C]; D]);
+    // B's rows up to each one, by all that does not depend on the row of the result
+    let mut there = [[T::zero(); C]; D];
+    each_row::<D>(|i| {
+        of_rows[i] = of_row;
+        for m in 0..D - i {
+            let here = b[i].map(|b| of_row[m] * b);
+            there[m] = if i == 0 { here } else { less(here, beside[i - 1], there[m]) };
         }
+        sums[i] = along(&behind[i], &there, D - i);
         // the minor before the next row, as it is of this and the last one; of its last moments nobody asks
         let mut next = [T::zero(); D];
-        for m in 0..D - 1 - j {
-            next[m] = diagonal[j] * of_row[m] + of_row[m + 1];
-            if j > 0 {
-                next[m] -= squares[j - 1] * of_last[m];
+        for m in 0..D - 1 - i {
+            next[m] = diagonal[i] * of_row[m] + of_row[m + 1];
+            if i > 0 {
+                next[m] -= squares[i - 1] * of_last[m];
             }
         }
         (of_row, of_last) = (next, of_row);
     });
+    // and B's rows behind it
+    let mut back = [[T::zero(); C]; D];
+    each_row::<D>(|row| {
+        let i = D - 1 - row;
+        if row > 0 {
+            sums[i] = plus(sums[i], along(&of_rows[i], &back, row));
+        }
+        for m in 0..D - i {
+            let here = b[i].map(|b| behind[i][m] * b);
+            let all = if m < row { plus(here, back[m]) } else { here };
+            back[m] = if i == 0 { all } else { all.map(|x| -beside[i - 1] * x) };
+        }
+    });
+    let scale = scale.sqrt();
+    *b = sums.map(|row| row.map(|x| x * scale));
     true
+}
+
+/// a + b.
+#[inline(always)]
+fn plus<const C: usize, T: Scalar>(a: [T; C], b: [T; C]) -> [T; C] {
+    core::array::from_fn(|c| a[c] + b[c])
+}
+
+/// a − factor·b.
+#[inline(always)]
+fn less<const C: usize, T: Scalar>(a: [T; C], factor: T, b: [T; C]) -> [T; C] {
+    core::array::from_fn(|c| a[c] - factor * b[c])
+}
+
+/// Σ weights_m·rows_m of the first `count`.
+#[inline(always)]
+fn along<const C: usize, const D: usize, T: Scalar>(
+    weights: &[T; D],
+    rows: &[[T; C]; D],
+    count: usize,
+) -> [T; C] {
+    let mut sum = rows[0].map(|x| weights[0] * x);
+    for m in 1..count {
+        sum = core::array::from_fn(|c| sum[c] + weights[m] * rows[m][c]);
+    }
+    sum
 }
 
 /// Calls `f` for each row, written out instead of a loop: compilers then know which of a row's numbers are zero.
@@ -111,23 +152,17 @@ fn each_row<const D: usize>(mut f: impl FnMut(usize)) {
 
 /// Σ w·s^m/det(T + s) over the poles, for m from 0 on, of the determinant's coefficients.
 fn moments<const D: usize, T: Scalar>(determinant: &[T; D]) -> [T; D] {
-    let mut sums = [[T::zero(); LANES]; D];
+    let mut sums = [[T::zero(); 2]; D];
     for group in &POLES {
         add_poles(&mut sums, determinant, group);
     }
-    sums.map(|lanes| total(&lanes))
+    sums.map(|[a, b]| a + b)
 }
 
-/// Sum over the lanes. Its code is short, and once for all moments.
-#[inline(never)]
-fn total<T: Scalar>(lanes: &[T; LANES]) -> T {
-    lanes.iter().fold(T::zero(), |sum, &lane| sum + lane)
-}
-
-/// Adds some poles' share of every moment: into memory, lane beside lane, which is what makes compilers take them at once.
+/// Adds some poles' share of every moment: pair beside pair, which is what makes compilers take them at once.
 #[inline(never)]
 fn add_poles<const D: usize, T: Scalar>(
-    sums: &mut [[T; LANES]; D],
+    sums: &mut [[T; 2]; D],
     determinant: &[T; D],
     [poles, weights]: &[[f64; LANES]; 2],
 ) {
@@ -138,7 +173,7 @@ fn add_poles<const D: usize, T: Scalar>(
     }
     let mut terms: [T; LANES] = core::array::from_fn(|k| of::<T>(weights[k]) / values[k]);
     for sum in sums {
-        *sum = core::array::from_fn(|k| sum[k] + terms[k]);
+        *sum = core::array::from_fn(|k| sum[k] + ((terms[k] + terms[k + 2]) + (terms[k + 4] + terms[k + 6])));
         terms = core::array::from_fn(|k| terms[k] * poles[k]);
     }
 }
@@ -258,12 +293,18 @@ mod tests {
         Tridiagonal::of(&a.data.0)
     }
 
+    /// V·F·Vᵀ of a symmetric F.
+    fn turned<const D: usize>(t: &Tridiagonal<D, f64>, f: &[[f64; D]; D]) -> SMatrix<f64, D, D> {
+        let mut half = *f;
+        t.turn_back(&mut half);
+        let mut whole = SMatrix::<f64, D, D>::from(half).transpose().data.0;
+        t.turn_back(&mut whole);
+        whole.into()
+    }
+
     fn root_of<const D: usize>(t: &Tridiagonal<D, f64>) -> Option<SMatrix<f64, D, D>> {
-        let mut root = [[0.0; D]; D];
-        inverse_square_root(t, &mut root).then(|| {
-            t.turn_back(&mut root);
-            root.into()
-        })
+        let mut root = SMatrix::<f64, D, D>::identity().data.0;
+        times_inverse_square_root(t, &mut root).then(|| turned(t, &root))
     }
 
     #[test]
@@ -271,7 +312,9 @@ mod tests {
         for least in [1.0, 0.1, 1e-2, 1e-3, 1e-4, 1e-5] {
             let t = spread_to(least);
             let root = root_of(&t).unwrap();
-            let other = eigenvalues::inverse_square_root(&t).unwrap();
+            let mut other = Matrix6::identity().data.0;
+            assert!(eigenvalues::times_inverse_square_root(&t, &mut other));
+            let other = turned(&t, &other);
             let apart = (root - other).amax() / other.amax();
             assert!(apart < 8.0 * f64::EPSILON / least, "{least}: {apart}");
             let mut large = spread_to(least);

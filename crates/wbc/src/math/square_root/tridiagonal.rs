@@ -1,7 +1,34 @@
 //! V·T·Vᵀ with a tridiagonal T: Householder reflections (Golub and Van Loan, Matrix Computations, 8.3.1).
 
-use crate::linalg::dot;
+use super::in_pairs;
 use crate::scalar::{Scalar, of};
+
+/// Rows of the largest matrix.
+pub(super) const LARGEST: usize = 6;
+/// For each row 1 behind it, else 0. A product with it takes several numbers at once, a choice between them does not.
+const BEHIND: [[f64; LARGEST]; LARGEST] = {
+    let mut behind = [[0.0; LARGEST]; LARGEST];
+    let mut k = 0;
+    while k < LARGEST {
+        let mut i = k + 1;
+        while i < LARGEST {
+            behind[k][i] = 1.0;
+            i += 1;
+        }
+        k += 1;
+    }
+    behind
+};
+/// For each row 1 at the next one.
+const NEXT: [[f64; LARGEST]; LARGEST] = {
+    let mut next = [[0.0; LARGEST]; LARGEST];
+    let mut k = 1;
+    while k < LARGEST {
+        next[k - 1][k] = 1.0;
+        k += 1;
+    }
+    next
+};
 
 /// A symmetric matrix as reflections of a tridiagonal one.
 pub(super) struct Tridiagonal<const D: usize, T> {
@@ -28,23 +55,38 @@ impl<const D: usize, T: Scalar> Tridiagonal<D, T> {
         Self { diagonal: [zero; D], beside: [zero; D], reflections: [([zero; D], zero); D] }
     }
 
-    /// Reduces a symmetric matrix by reflections, from its first column on; nothing of it is left.
+    /// Reduces a symmetric matrix A by reflections, from its first column on; nothing of it is left.
+    ///
+    /// With x for what is to be reflected onto α·e, v = x − α·e and A·v = A·x − α·A·e: the products with A do not wait for the
+    /// root in α.
     #[inline]
     pub(super) fn reduce(&mut self, rest: &mut [[T; D]; D]) {
-        const { assert!(D <= LARGEST, "what `reflect` knows") }
-        let (t, zero) = (self, T::zero());
+        const { assert!(D <= LARGEST, "rows that the tables have") }
+        let t = self;
         for k in 0..D.saturating_sub(2) {
-            let (v, beta) = &mut t.reflections[k];
-            *v = rest[k];
-            v[..=k].fill(zero);
-            let (first, length) = (v[k + 1], dot(v, v).sqrt());
-            let reflected = if first > zero { -length } else { length };
-            t.beside[k] = reflected;
-            let half = length * length - first * reflected;
-            if half > zero {
-                v[k + 1] = first - reflected;
+            let (column, next) = (&rest[k], &rest[k + 1]);
+            let x: [T; D] = core::array::from_fn(|i| column[i] * of(BEHIND[k][i]));
+            let mut ax = [T::zero(); D];
+            for j in k + 1..D {
+                ax = core::array::from_fn(|i| ax[i] + rest[j][i] * x[j]);
+            }
+            let (first, square, along) = (x[k + 1], in_pairs(&x, &x), in_pairs(&x, &ax));
+            let length = square.sqrt();
+            let alpha = if first > T::zero() { -length } else { length };
+            t.beside[k] = alpha;
+            let half = square + first.abs() * length;
+            if half > T::zero() {
+                let (v, beta) = &mut t.reflections[k];
                 *beta = T::one() / half;
-                reflect(rest, v, *beta, k, Columns::Last);
+                *v = core::array::from_fn(|i| x[i] - alpha * of(NEXT[k][i]));
+                // vᵀ·A·v
+                let along = along - alpha * (ax[k + 1] + ax[k + 1] - alpha * next[k + 1]);
+                let share = *beta * *beta * (along * of(0.5));
+                let w: [T; D] = core::array::from_fn(|i| (ax[i] - alpha * next[i]) * *beta - share * v[i]);
+                for j in k + 1..D {
+                    let (v_j, w_j) = (v[j], w[j]);
+                    rest[j] = core::array::from_fn(|i| rest[j][i] - (v[i] * w_j + w[i] * v_j));
+                }
             }
         }
         t.diagonal = core::array::from_fn(|i| rest[i][i]);
@@ -57,79 +99,42 @@ impl<const D: usize, T: Scalar> Tridiagonal<D, T> {
         self.diagonal.iter().fold(T::zero(), |sum, &d| sum + d)
     }
 
-    /// Turns a symmetric F to V·F·Vᵀ.
+    /// Vᵀ·B for D rows of C numbers.
     #[inline]
-    pub(super) fn turn_back(&self, f: &mut [[T; D]; D]) {
-        for (k, (v, beta)) in self.reflections[..D.saturating_sub(2)].iter().enumerate().rev() {
-            reflect(f, v, *beta, k, Columns::All);
-            for j in k + 1..D {
-                f[j][k] = f[k][j];
-            }
-        }
+    pub(super) fn turn_there<const C: usize>(&self, b: &mut [[T; C]; D]) {
+        turn_there(b, &self.reflections[..D.saturating_sub(2)]);
     }
 
-    /// V·F.
-    pub(super) fn turned(&self, mut f: [[T; D]; D]) -> [[T; D]; D] {
-        for (v, beta) in self.reflections.iter().rev() {
-            for column in &mut f {
-                let share = dot(v, column) * *beta;
-                *column = core::array::from_fn(|i| column[i] - share * v[i]);
-            }
-        }
-        f
+    /// V·B for D rows of C numbers.
+    #[inline]
+    pub(super) fn turn_back<const C: usize>(&self, b: &mut [[T; C]; D]) {
+        turn_back(b, &self.reflections[..D.saturating_sub(2)]);
     }
 }
 
-/// Rows of the largest matrix.
-pub(super) const LARGEST: usize = 6;
+// How many reflections there are is not known here, so that compilers leave the loop a loop: short code, and B in registers.
 
-/// Columns of a reflected matrix that are wanted.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Columns {
-    All,
-    /// Those in which both sides change.
-    Last,
-}
-
-/// (I − β·v·vᵀ)·A·(I − β·v·vᵀ) of a symmetric A, in its last rows: v is zero down to its entry `k`.
-#[inline]
-fn reflect<const D: usize, T: Scalar>(a: &mut [[T; D]; D], v: &[T; D], beta: T, k: usize, columns: Columns) {
-    match D - 1 - k {
-        1 => reflect_last::<1, D, T>(a, v, beta, columns),
-        2 => reflect_last::<2, D, T>(a, v, beta, columns),
-        3 => reflect_last::<3, D, T>(a, v, beta, columns),
-        4 => reflect_last::<4, D, T>(a, v, beta, columns),
-        _ => reflect_last::<5, D, T>(a, v, beta, columns),
-    }
-}
-
-/// [`reflect`] of the last W rows and columns: their number is known, so that nothing is computed of those before. The same
-/// code turns there and back.
 #[inline(never)]
-fn reflect_last<const W: usize, const D: usize, T: Scalar>(
-    a: &mut [[T; D]; D],
-    v: &[T; D],
-    beta: T,
-    columns: Columns,
-) {
-    let Some(v) = v.last_chunk::<W>() else { return };
-    let (before, last) = a.split_at_mut(D - W);
-    if columns == Columns::All {
-        for column in before {
-            let Some(rows) = column.last_chunk_mut::<W>() else { return };
-            let share = dot(v, rows) * beta;
-            *rows = core::array::from_fn(|i| rows[i] - v[i] * share);
-        }
+fn turn_there<const C: usize, const D: usize, T: Scalar>(b: &mut [[T; C]; D], reflections: &[([T; D], T)]) {
+    *b = reflections.iter().fold(*b, reflected);
+}
+
+#[inline(never)]
+fn turn_back<const C: usize, const D: usize, T: Scalar>(b: &mut [[T; C]; D], reflections: &[([T; D], T)]) {
+    *b = reflections.iter().rev().fold(*b, reflected);
+}
+
+/// (I − β·v·vᵀ)·B.
+#[inline(always)]
+fn reflected<const C: usize, const D: usize, T: Scalar>(
+    b: [[T; C]; D],
+    (v, beta): &([T; D], T),
+) -> [[T; C]; D] {
+    // in pairs, as below
+    let mut sums = [[T::zero(); C]; 2];
+    for i in 0..D {
+        sums[i % 2] = core::array::from_fn(|c| sums[i % 2][c] + v[i] * b[i][c]);
     }
-    let mut p = [T::zero(); W];
-    for (column, &v_j) in last.iter().zip(v) {
-        let Some(rows) = column.last_chunk::<W>() else { return };
-        p = core::array::from_fn(|i| p[i] + rows[i] * v_j);
-    }
-    let share = dot(&p, v) * beta * of(0.5);
-    let w: [T; W] = core::array::from_fn(|i| (p[i] - share * v[i]) * beta);
-    for (column, (&v_j, &w_j)) in last.iter_mut().zip(v.iter().zip(&w)) {
-        let Some(rows) = column.last_chunk_mut::<W>() else { return };
-        *rows = core::array::from_fn(|i| rows[i] - (v[i] * w_j + w[i] * v_j));
-    }
+    let share: [T; C] = core::array::from_fn(|c| (sums[0][c] + sums[1][c]) * *beta);
+    core::array::from_fn(|i| core::array::from_fn(|c| b[i][c] - v[i] * share[c]))
 }
