@@ -288,3 +288,39 @@ fn cover_with_too_many_taxels_is_refused() {
     let refused = BaseController::<4>::new(&PAPER_COVER, &Parameters::PAPER).unwrap_err();
     assert_eq!(refused.to_string(), "number of taxels = 11 is outside 0 to 4");
 }
+
+/// What a law wanted when it was ended would fade for a fifth of a second, and drive the joints meanwhile.
+#[test]
+fn torques_of_a_law_that_has_ended_drive_no_joint_on() {
+    let whole = controller();
+    let arm: ArmController<7> =
+        ArmController::new(&PANDA, &MOCA_MOUNT, &Payload::NONE, &Parameters::PAPER).unwrap();
+    let mut robot = at_home();
+    let mut state = whole.enter(ControlLaw::FollowMe, &robot).unwrap();
+    let mut of_arm = arm.enter(&robot).unwrap();
+    let of = |robot| ArmInput { robot, flange_wrench_world: None, dt_s: 1e-3 };
+    for step in 0..30 {
+        // the tool is away from its place, and the law pulls
+        robot.q_rad[1] = PANDA.home_rad[1] + if step > 0 { 0.02 } else { 0.0 };
+        whole.step(ControlLaw::FollowMe, &mut state, &input(robot)).unwrap();
+        arm.step(&mut of_arm, &of(robot)).unwrap();
+    }
+    let gravity = whole.model().dynamics(0.4, &robot.q_rad, &[0.0; 7]).gravity();
+    let off_nm = |torque_nm: [f64; 7]| (0..7).map(|i| (torque_nm[i] - gravity[i]).abs()).fold(0.0, f64::max);
+    let pulling = whole.step(ControlLaw::FollowMe, &mut state, &input(robot)).unwrap();
+    assert!(off_nm(pulling.command.arm_torque_nm) > 3.0, "{pulling:?}");
+    let mut too_fast = robot;
+    too_fast.dq_rad_s[6] = 3.0;
+    let ended = whole.step(ControlLaw::FollowMe, &mut state, &input(too_fast)).unwrap();
+    let of_arm_ended = arm.step(&mut of_arm, &of(too_fast)).unwrap();
+    assert!(ended.exceeded.is_some() && of_arm_ended.exceeded == ended.exceeded, "{ended:?}");
+    assert_eq!(state.law(), ControlLaw::Hold);
+    for _ in 0..40 {
+        let held = whole.step(ControlLaw::Hold, &mut state, &input(robot)).unwrap();
+        let of_arm_held = arm.hold(&mut of_arm, &of(robot)).unwrap();
+        if off_nm(held.command.arm_torque_nm) < 1e-6 && off_nm(of_arm_held.torque_nm) < 1e-6 {
+            return;
+        }
+    }
+    panic!("the posture is held with other torques than gravity's 40 ms later: {state:?}");
+}

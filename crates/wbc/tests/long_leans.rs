@@ -154,18 +154,17 @@ fn runaway_of_a_stretched_arm_stops_below_half_speed() {
 
 /// One start shows little: the last digits of it decide how a stretched arm swings.
 #[test]
-fn runaway_from_sixty_starts_stops_below_two_thirds_speed() {
-    let (mut runaways, mut above_half) = (0, 0);
+fn runaway_from_sixty_starts_stops_below_a_third_of_speed() {
+    let mut runaways = 0;
     for taxel in [1, 8] {
         for start in 0..30 {
             let (used, _) = lean(ControlLaw::FollowMe, near(STRETCHED, start), taxel, 10.0, 30.0);
-            assert!(used.joint_speed < 2.0 / 3.0, "T{taxel}, start {start}: {used:?}");
-            above_half += u32::from(used.joint_speed >= 0.5);
+            assert!(used.joint_speed < 1.0 / 3.0, "T{taxel}, start {start}: {used:?}");
             match used.exceeded {
                 Some(Exceeded::Stretched(_)) => runaways += 1,
                 other => assert_eq!(other, None, "T{taxel}, start {start}"),
             }
         }
     }
-    assert!(runaways >= 54 && above_half <= 3, "{runaways} of 60 run away, {above_half} pass half speed");
+    assert!(runaways >= 54, "{runaways} of 60 run away");
 }

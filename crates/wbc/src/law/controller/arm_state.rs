@@ -6,6 +6,7 @@ use crate::gains::ArmGains;
 use crate::momentum_observer::MomentumObserver;
 use crate::reference::{HeldBack, Reference};
 use crate::scalar::Scalar;
+use moca_msgs::RobotState;
 
 /// Memory of an [`super::ArmController`] between steps.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -40,5 +41,12 @@ impl<const N: usize, T: Scalar> ArmState<N, T> {
     #[inline]
     pub(super) fn kept(&self) -> Self {
         Self { lead: self.lead.as_ref().copied(), ..*self }
+    }
+
+    /// Holds the measured posture from the next step on, with nothing carried over of a motion that must not go on: its torques would fade
+    /// for [`super::CARRY_FADE_S`], and drive the joints meanwhile.
+    pub(super) fn hold_at_once(&mut self, robot: &RobotState<N, T>) {
+        (self.law, self.entering, self.held_back, self.lead) = (ControlLaw::Hold, false, None, None);
+        (self.posture_rad, self.carried_nm) = (robot.q_rad, [T::zero(); N]);
     }
 }

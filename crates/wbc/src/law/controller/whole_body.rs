@@ -290,7 +290,10 @@ impl<const N: usize, const K: usize, T: Scalar> WholeBodyController<N, K, T> {
             Ok(ControlOutput { exceeded: None, .. }) => output,
             Ok(ControlOutput { exceeded, .. }) => {
                 *state = before;
-                let held = self.step(ControlLaw::Hold, state, input)?;
+                let mut holding = before;
+                holding.arm.hold_at_once(&input.robot);
+                let held = self.step(ControlLaw::Hold, &mut holding, input)?;
+                *state = holding;
                 Ok(ControlOutput { exceeded: *exceeded, ..held })
             }
             Err(_) => {
