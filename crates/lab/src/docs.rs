@@ -399,8 +399,8 @@ mod tests {
             "long-lean",
             &[
                 ("more than 93.7 % of a limit", "near an end | impedance | 66 |"),
-                ("at most 47.3 % of a joint's speed", "stretched | follow-me | 66 |"),
-                ("at most 22.4 %", "home | impedance | 66 |"),
+                ("at most 17.7 % of a joint's speed", "stretched | impedance | 66 |"),
+                ("at most 17.5 %", "home | impedance | 66 |"),
                 ("within 0.3 s and", "home | impedance | 66 |"),
             ],
         ),

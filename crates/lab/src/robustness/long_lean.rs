@@ -34,7 +34,7 @@ const AFTER_S: f64 = 10.0;
 /// Largest share of a limit that a lean may use.
 const MOST_SHARE: f64 = 0.95;
 /// Largest share of a joint's speed in a protective stop, where the posture allows nothing else.
-const MOST_SHARE_STOPPING: f64 = 0.5;
+const MOST_SHARE_STOPPING: f64 = 1.0 / 3.0;
 /// Time that is watched after a stop, s.
 const STOPPING_S: f64 = 1.0;
 /// A base that somebody lets go of rests within this time, s, and displacement, m.
@@ -111,7 +111,7 @@ impl Outcome {
         shares.into_iter().fold(("", 0.0), |most, share| if share.1 > most.1 { share } else { most })
     }
 
-    /// No stop, no limit used up, and a base at rest after it; or a stop before a joint has half its speed.
+    /// No stop, no limit used up, and a base at rest after it; or a stop before a joint has a third of its speed.
     fn passed(&self) -> bool {
         match self.stopped {
             Some(fault) => {
@@ -387,7 +387,7 @@ mod tests {
         );
         let stopped = |fault, joint_speed| Outcome { stopped: Some(fault), joint_speed, ..calm }.passed();
         let stretched = Fault::ArmStretched { joint: 3 };
-        assert!(stopped(stretched, 0.49) && !stopped(stretched, 0.5));
+        assert!(stopped(stretched, 0.33) && !stopped(stretched, 1.0 / 3.0));
         assert!(!stopped(Fault::PoseError, 0.1), "of a stretched arm alone");
     }
 }
