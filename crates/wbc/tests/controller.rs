@@ -289,7 +289,7 @@ fn cover_with_too_many_taxels_is_refused() {
     assert_eq!(refused.to_string(), "number of taxels = 11 is outside 0 to 4");
 }
 
-/// What a law wanted when it was ended would fade for a fifth of a second, and drive the joints meanwhile.
+/// Torques that a law wanted when it was ended would fade for a fifth of a second, and drive the joints meanwhile.
 #[test]
 fn torques_of_a_law_that_has_ended_drive_no_joint_on() {
     let whole = controller();
