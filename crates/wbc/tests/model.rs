@@ -39,7 +39,7 @@ impl Worst {
 /// The most that is left of forces on base and arm less bias and (M + added)·acceleration.
 fn forward<const N: usize>(plant: &CoupledDynamics<N, f64>, base: &[f64; 3], arm: &[f64; N]) -> f64 {
     let force = WholeBodyForce { base: base.map(|f| 30.0 * f), arm: arm.map(|f| 10.0 * f) };
-    let added = (&[100.0, 50.0, 0.0], &core::array::from_fn(|i| if i == 1 { 0.3 } else { 0.0 }));
+    let added = (&[100.0, 50.0, 20.0], &core::array::from_fn(|i| if i == 1 { 0.3 } else { 0.0 }));
     let (ddq_base, ddq_arm) = plant.acceleration(&force, added).unwrap();
     let coupling = &plant.arm.base_coupling;
     let of_arm: Vec<f64> = (0..N)
@@ -145,5 +145,19 @@ fn axes_that_are_almost_parallel_lose_no_digit() {
         let joint_origin =
             std::array::from_fn(|i| [0.1, 0.05, 0.2, tilt, if i % 2 == 0 { -tilt } else { tilt }, 0.7]);
         check("almost parallel", &ArmTable { joint_origin, ..PANDA }, &MOCA_MOUNT, &Payload::NONE);
+    }
+}
+
+#[test]
+fn base_that_weighs_nothing_along_an_axis_is_refused() {
+    let model = ArmModel::<7, f64>::new(&PANDA, &MOCA_MOUNT, &Payload::NONE).unwrap();
+    let plant = CoupledDynamics::new(&model, &SUMMIT_XL, (0.3, &PANDA.home_rad), (&[0.0; 3], &[0.0; 7]));
+    let force = WholeBodyForce { base: [1.0; 3], arm: [1.0; 7] };
+    for axis in 0..3 {
+        for share in [-1.0, -1.5, f64::NAN] {
+            let mut added = [0.0; 3];
+            added[axis] = share * plant.base[(axis, axis)];
+            assert_eq!(plant.acceleration(&force, (&added, &[0.0; 7])), None, "axis {axis}, {share}");
+        }
     }
 }

@@ -211,6 +211,17 @@ mod tests {
     }
 
     #[test]
+    fn symmetric_product_stands_in_for_a_sum_that_is_not_definite() {
+        let q = Matrix6::from_diagonal(&Vector6::from(STIFFNESS.map(|k| k.sqrt().sqrt())));
+        for inverse in inertias(1e5) {
+            let root = crate::square_root::inverse_square_root(&inverse).unwrap();
+            let wanted = q * root * q * 1.8;
+            let damping = damping(&inverse, &STIFFNESS, 0.9).unwrap();
+            assert!((damping - wanted).amax() < 1e-13 * wanted.amax(), "{damping}");
+        }
+    }
+
+    #[test]
     fn sum_of_two_axes_is_definite_up_to_the_bound() {
         for stiffness in [STIFFNESS, [9.0, 9.0, 9.0, 900.0, 900.0, 900.0]] {
             let k = stiffness.map(f64::sqrt);
