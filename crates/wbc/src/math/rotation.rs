@@ -101,9 +101,9 @@ pub fn turned<T: Scalar>(rotation: &Matrix3<T>, &[vx, vy, vz, wx, wy, wz]: &[T; 
 pub fn to_quaternion<T: Scalar>(r: &Matrix3<T>) -> [T; 4] {
     let (d0, d1, d2) = (r[(0, 0)], r[(1, 1)], r[(2, 2)]);
     let trace = d0 + d1 + d2;
-    // four times the square of a component, and what a sum of two entries is multiplied by
-    let parts = |square: T| {
-        let root = (T::one() + square).max(T::zero()).sqrt();
+    // a component of four times its square less 1, and the factor of what the others are found from
+    let parts = |less_one: T| {
+        let root = (T::one() + less_one).max(T::zero()).sqrt();
         (root * of(0.5), of::<T>(0.5) / root)
     };
     let mut q = if trace >= d0.max(d1).max(d2) {

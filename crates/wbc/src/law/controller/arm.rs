@@ -25,7 +25,8 @@ use nalgebra::Vector3;
 
 /// Share of its largest speed at which a joint of an arm whose tool stands ends the law near a singularity, share of the largest
 /// pose error that does, and the mobility ([`ArmDynamics::mobility_left`]) below which they count. Stopping from there no joint
-/// passes a third of its speed. Up to that mobility, a joint that swings through a straight elbow doubles its speed within 15 ms. Of an arm on its way to a target only a speed counts, the one to which it is held ([`HELD_SHARE`]).
+/// passes a third of its speed. Up to that mobility, a joint that swings through a straight elbow doubles its speed within 15 ms.
+/// Of an arm on its way to a target only a speed counts, the one to which it is held ([`HELD_SHARE`]).
 const STRETCHED_SHARE: f64 = 0.1;
 const STRETCHED_ERROR: f64 = 0.5;
 const STRETCHED_MOBILITY: f64 = 0.03;

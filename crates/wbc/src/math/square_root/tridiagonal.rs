@@ -130,7 +130,7 @@ fn reflected<const C: usize, const D: usize, T: Scalar>(
     b: [[T; C]; D],
     (v, beta): &([T; D], T),
 ) -> [[T; C]; D] {
-    // in pairs, as below
+    // every other product apart, as in `in_pairs`
     let mut sums = [[T::zero(); C]; 2];
     for i in 0..D {
         sums[i % 2] = core::array::from_fn(|c| sums[i % 2][c] + v[i] * b[i][c]);
